@@ -1,0 +1,101 @@
+"""Lat-long environment maps: directions, solid angles, resampling, and Mitsuba's storage of them.
+
+Frame: row 0 = +Y; u = 0.5 - lon / 2 pi with lon = atan2(x, z); v = 0.5 - lat / pi; pixel centres at +0.5. Arrays are
+(h, w, 3) radiance with w = 2 h, float32.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .errors import InputError
+
+
+def directions(h: int, w: int) -> np.ndarray:
+    """Unit vectors through the pixel centres, (h, w, 3)."""
+    lat = np.pi * (0.5 - (np.arange(h) + 0.5) / h)
+    lon = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)
+    c = np.cos(lat)[:, None]
+    return np.stack([c * np.sin(lon), np.broadcast_to(np.sin(lat)[:, None], (h, w)), c * np.cos(lon)], -1)
+
+
+def uv_from_direction(d: np.ndarray) -> np.ndarray:
+    """Directions (..., 3) -> (u, v) in [0, 1)."""
+    d = d / np.linalg.norm(d, axis=-1, keepdims=True)
+    u = 0.5 - np.arctan2(d[..., 0], d[..., 2]) / (2 * np.pi)
+    return np.stack([u % 1.0, 0.5 - np.arcsin(np.clip(d[..., 1], -1, 1)) / np.pi], -1)
+
+
+def solid_angles(h: int, w: int) -> np.ndarray:
+    """Solid angle of every pixel in steradians, (h, w); sums to 4 pi exactly."""
+    edges = np.sin(np.pi * (0.5 - np.arange(h + 1) / h))
+    return np.broadcast_to(((edges[:-1] - edges[1:]) * 2 * np.pi / w)[:, None], (h, w))
+
+
+def mean_radiance(env: np.ndarray) -> np.ndarray:
+    """Solid-angle mean over the sphere, per channel (3,)."""
+    weights = solid_angles(*env.shape[:2])
+    return (env * weights[..., None]).sum((0, 1)) / (4 * np.pi)
+
+
+def _overlap(n: int, m: int, edges_n: np.ndarray, edges_m: np.ndarray) -> np.ndarray:
+    """(m, n) share of target interval i that source interval j covers."""
+    low = np.maximum(edges_m[:-1, None], edges_n[None, :-1])
+    high = np.minimum(edges_m[1:, None], edges_n[None, 1:])
+    return np.clip(high - low, 0, None) / (edges_m[1:] - edges_m[:-1])[:, None]
+
+
+def resample_area(env: np.ndarray, h: int, w: int) -> np.ndarray:
+    """Average over solid angle to (h, w): the flux, sum of L dOmega, is kept exactly, so no sun loses energy."""
+    H, W = env.shape[:2]
+    sines = lambda n: 1 - np.sin(np.pi * (0.5 - np.arange(n + 1) / n))
+    rows = _overlap(H, h, sines(H), sines(h))
+    columns = _overlap(W, w, np.arange(W + 1) / W, np.arange(w + 1) / w)
+    return np.einsum("ij,jkc,lk->ilc", rows, env, columns, optimize=True).astype(np.float32)
+
+
+def yaw_roll(env: np.ndarray, columns: int) -> np.ndarray:
+    """Turn the light about +Y by a whole number of columns (exact, invertible)."""
+    return np.roll(env, columns, axis=1)
+
+
+def mirror(env: np.ndarray) -> np.ndarray:
+    """The light seen in a mirror (x -> -x)."""
+    return env[:, ::-1]
+
+
+def sh_coefficients(env: np.ndarray, order: int = 2) -> np.ndarray:
+    """Real spherical-harmonic coefficients up to `order` <= 2, ((order + 1)^2, 3), band by band, m = -l..l, Y-up."""
+    x, y, z = np.moveaxis(directions(*env.shape[:2]), -1, 0)
+    basis = [0.282095 * np.ones_like(x), 0.488603 * x, 0.488603 * y, 0.488603 * z,
+             1.092548 * x * z, 1.092548 * x * y, 0.315392 * (3 * y * y - 1), 1.092548 * y * z, 0.546274 * (z * z - x * x)]
+    if order > 2:
+        raise ValueError("orders above 2 are not implemented")
+    weights = solid_angles(*env.shape[:2])
+    return np.stack([(env * (b * weights)[..., None]).sum((0, 1)) for b in basis[:(order + 1) ** 2]])
+
+
+def to_mitsuba(env: np.ndarray) -> np.ndarray:
+    """(h, w, 3) -> (h, w + 2, 3): Mitsuba 3.9 stores one column of the other side at both ends.
+
+    Mitsuba refreshes the two border columns itself on `params.update()` and folds their gradient into the interior,
+    so `from_mitsuba` of the gradient is the gradient with respect to `env`.
+    """
+    return np.concatenate([env[:, -1:], env, env[:, :1]], 1)
+
+
+def from_mitsuba(data: np.ndarray) -> np.ndarray:
+    """Undo `to_mitsuba`."""
+    return data[:, 1:-1]
+
+
+def check_lat_long(env: np.ndarray, where) -> np.ndarray:
+    """Raise InputError unless `env` is a usable 2:1 radiance map; returns it as float32."""
+    if env.ndim != 3 or env.shape[2] != 3:
+        raise InputError(f"expected three channels, got an array of shape {env.shape}", where, "save it as RGB")
+    h, w = env.shape[:2]
+    if abs(w / h - 2) > 0.04:
+        raise InputError(f"{w}x{h} is not a 2:1 lat-long map", where, "convert it to equirectangular projection")
+    if not np.isfinite(env).all() or env.min() < 0:
+        raise InputError("holds NaN, infinite or negative radiance", where, "replace those pixels (0 or a neighbour's)")
+    return env.astype(np.float32)
