@@ -1,0 +1,222 @@
+"""Masks without a network: what differs from the bare ground plane, cut along edges, held together by all views.
+
+1. Warp every photo onto the ground plane; the median over views is the ground without the object, shadows included,
+   because they do not move. 2. What differs from it, above 1.6 times the 95th percentile of the differences outside the
+   object's sphere, is object; rays that miss the known ground say nothing. 3. A soft visual hull turns that evidence
+   into one volume. 4. GrabCut (Rother et al. 2004) between hull and background, twice, the second time with the hull of
+   the first masks.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from ..cameras import Rig, View
+from ..config import Masks
+from ..errors import InputError
+from ..images import linear_to_srgb, read_exr
+from ..progress import progress
+from ..voxels import Grid, sample, silhouette
+from .agreement import hull_points
+
+WORKING = 600          # long side in pixels
+TEXTURE = 512          # texels along the ground's side
+EXTENT = 3.5           # half-side of the known ground in object radii
+
+
+def to_lab(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """Photo as CIELAB float32 (h, w, 3)."""
+    image = cv2.resize(read_exr(path), size, interpolation=cv2.INTER_AREA)
+    return cv2.cvtColor(linear_to_srgb(image), cv2.COLOR_RGB2Lab)
+
+
+def ground_points(rig: Rig, height: float) -> np.ndarray:
+    """(TEXTURE, TEXTURE, 3) points of the plane y = height around the object."""
+    axis = np.linspace(-1, 1, TEXTURE) * EXTENT * rig.radius
+    x, z = np.meshgrid(axis + rig.center[0], axis + rig.center[2], indexing="xy")
+    return np.stack([x, np.full_like(x, height), z], -1)
+
+
+def bare_ground(rig: Rig, labs: dict[str, np.ndarray], height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Median colour (t, t, 3) over views and its spread (t, t); NaN where fewer than four views look."""
+    points = ground_points(rig, height).reshape(-1, 3)
+    stack = np.full((len(rig.views), len(points), 3), np.nan, np.float16)
+    for k, v in enumerate(rig.views):
+        value, inside = sample(v, labs[v.name], points, interpolate=True)
+        stack[k, inside] = value[inside]
+    few = np.isfinite(stack[..., 0]).sum(0) < 4
+    stack[:, few] = 0
+    median = np.nanmedian(stack, axis=0)
+    spread = np.nanmedian(np.abs(stack - median).max(-1), axis=0).astype(np.float32)
+    median = median.astype(np.float32)
+    median[few], spread[few] = np.nan, np.nan
+    return median.reshape(TEXTURE, TEXTURE, 3), spread.reshape(TEXTURE, TEXTURE)
+
+
+def pixel_ground(view: View, rig: Rig, height: float, size) -> np.ndarray:
+    """Texture coordinates (h, w, 2) of where each pixel's ray meets the ground; NaN where it does not."""
+    w, h = size
+    u, v = np.meshgrid((np.arange(w) + 0.5) * view.width / w, (np.arange(h) + 0.5) * view.height / h)
+    o, d = view.rays(np.stack([u, v], -1))
+    t = np.where(d[..., 1] < -1e-4, (height - o[..., 1]) / np.minimum(d[..., 1], -1e-4), np.nan)
+    p = o + t[..., None] * d
+    at = (p[..., [0, 2]] - rig.center[[0, 2]]) / (EXTENT * rig.radius)
+    at = (at + 1) / 2 * (TEXTURE - 1)
+    within = ((at >= 0) & (at <= TEXTURE - 1)).all(-1, keepdims=True)
+    return np.where(within, at, np.nan).astype(np.float32)
+
+
+def sphere_region(view: View, rig: Rig, size) -> np.ndarray:
+    """Pixels (h, w) whose ray passes within 1.1 radii of the object's centre."""
+    w, h = size
+    u, v = np.meshgrid((np.arange(w) + 0.5) * view.width / w, (np.arange(h) + 0.5) * view.height / h)
+    o, d = view.rays(np.stack([u, v], -1))
+    to = rig.center - o
+    along = (to * d).sum(-1)
+    return np.sqrt(np.maximum((to**2).sum(-1) - along**2, 0)) < 1.1 * rig.radius
+
+
+def footprint(rig: Rig, points: np.ndarray, cell: float) -> np.ndarray:
+    """Texels (t, t) of the ground below the object: no photo shows them bare, their median is the object's own colour."""
+    at = (points[:, [0, 2]] - rig.center[[0, 2]]) / (EXTENT * rig.radius)
+    column, row = np.clip(((at + 1) / 2 * (TEXTURE - 1)).round().astype(int), 0, TEXTURE - 1).T
+    out = np.zeros((TEXTURE, TEXTURE), bool)
+    out[row, column] = True
+    texel = 2 * EXTENT * rig.radius / TEXTURE
+    return grow(ndimage.binary_closing(out, iterations=int(np.ceil(cell / texel)) + 1), 2)
+
+
+def evidence(view: View, rig: Rig, lab: np.ndarray, ground, spread, height: float, below=None) -> np.ndarray:
+    """Log-odds (h, w) in [-3, 3] that a pixel shows the object, from its difference to the bare ground.
+
+    `below`: the footprint (t, t); a ray that ends there has most likely met the object.
+    """
+    size = lab.shape[1::-1]
+    at = pixel_ground(view, rig, height, size)
+    known = np.isfinite(at[..., 0])
+    x, y = np.where(known, at[..., 0], -1), np.where(known, at[..., 1], -1)
+    hole = np.isnan(ground[..., 0])
+    there = cv2.remap(np.where(hole[..., None], 0, ground), x, y, cv2.INTER_LINEAR)
+    unsure = cv2.remap(np.where(hole, 99, spread), x, y, cv2.INTER_LINEAR)
+    unknown = cv2.remap(hole.astype(np.float32), x, y, cv2.INTER_LINEAR) > 0
+    known &= ~unknown
+    difference = np.full(lab.shape[:2], np.inf, np.float32)
+    for dy in (-1, 0, 1):                                    # tolerate a pixel of misregistration
+        for dx in (-1, 0, 1):
+            shifted = np.roll(there, (dy, dx), (0, 1))
+            difference = np.minimum(difference, np.sqrt((((lab - shifted) * [0.7, 1.3, 1.3]) ** 2).sum(-1)))
+    inside = sphere_region(view, rig, size)
+    outside = known & ~inside & (unsure < 20)
+    threshold = 1.6 * np.percentile(difference[outside], 95) if outside.sum() > 500 else 25.0
+    threshold = float(np.clip(threshold, 8, 40))
+    odds = np.clip(3 * (difference - threshold) / threshold, -3, 3)
+    odds = odds / (1 + np.maximum(unsure - 6, 0) / 6)         # ground that changes between views says little
+    if below is not None:
+        under = cv2.remap(below.astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.5
+        odds = np.where(under, np.maximum(odds, 0.6), odds)
+    return np.where(inside, np.where(known, cv2.blur(odds.astype(np.float32), (3, 3)), 0), -3).astype(np.float32)
+
+
+def soft_hull(rig: Rig, odds: dict[str, np.ndarray], height: float, longest: int = 80):
+    """Largest connected set of cells whose mean log-odds over views is positive and few of whose views object."""
+    low, high = rig.center - rig.radius, rig.center + rig.radius
+    low[1] = max(low[1], height)
+    for _ in range(2):
+        grid = Grid.over(low, high, longest)
+        points = grid.centers()
+        total, against, seen = np.zeros(len(points)), np.zeros(len(points)), np.zeros(len(points))
+        for v in rig.views:
+            value, inside = sample(v, odds[v.name], points)
+            total += np.where(inside, value, 0)
+            against += inside & (value < -1.5)
+            seen += inside
+        solid = (total > 0.4 * seen) & (against < 0.15 * seen) & (seen >= 0.5 * len(rig.views))
+        labels, count = ndimage.label(solid.reshape(grid.shape), np.ones((3, 3, 3)))
+        if not count:
+            return np.zeros((0, 3)), grid.cell
+        sizes = np.bincount(labels.ravel())
+        sizes[0] = 0
+        points = points[(sizes[labels.ravel()] >= 0.15 * sizes.max())]
+        low, high = points.min(0) - 2 * grid.cell, points.max(0) + 2 * grid.cell
+        low[1] = max(low[1], height)
+    return points, grid.cell
+
+
+def grow(mask: np.ndarray, pixels: int) -> np.ndarray:
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * abs(pixels) + 1,) * 2)
+    return (cv2.dilate if pixels > 0 else cv2.erode)(mask.astype(np.uint8), kernel).astype(bool)
+
+
+def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.ndarray:
+    """GrabCut of one photo: sure object inside the hull, sure background outside its surroundings."""
+    near, core = grow(hull, band), grow(hull, -band)
+    if not core.any():
+        return hull
+    state = np.full(hull.shape, cv2.GC_BGD, np.uint8)
+    state[near] = cv2.GC_PR_BGD
+    state[near & (odds > 1.0)] = cv2.GC_PR_FGD
+    state[hull & (odds > -2.0)] = cv2.GC_PR_FGD
+    state[core & (odds > -1.0)] = cv2.GC_FGD
+    rows, columns = np.where(grow(near, 3 * band))
+    box = np.s_[rows.min():rows.max() + 1, columns.min():columns.max() + 1]
+    cut_state = np.ascontiguousarray(state[box])
+    cv2.setRNGSeed(0)
+    cv2.grabCut(np.ascontiguousarray(lab8[box]), cut_state, None, np.zeros((1, 65)), np.zeros((1, 65)), 3, cv2.GC_INIT_WITH_MASK)
+    out = np.zeros(hull.shape, bool)
+    out[box] = (cut_state == cv2.GC_FGD) | (cut_state == cv2.GC_PR_FGD)
+    return tidy(out)
+
+
+def tidy(mask: np.ndarray) -> np.ndarray:
+    """Smooth by two pixels, fill holes smaller than 3 % of the object, keep the large parts."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    mask = cv2.morphologyEx(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel)
+    for value in (0, 1):
+        count, labels, stats, _ = cv2.connectedComponentsWithStats((mask == value).astype(np.uint8))
+        area = stats[1:, cv2.CC_STAT_AREA]
+        if count > 1:
+            limit = 0.03 * mask.sum() if value == 0 else 0.08 * area.max()
+            mask[np.isin(labels, 1 + np.where(area < limit)[0])] = 1 - value
+    return mask.astype(bool)
+
+
+def plane_masks(poses: Path, rig: Rig, settings: Masks, threads: int) -> tuple[dict, dict]:
+    """name -> mask (h, w) bool at the photos' size, and facts. InputError when there is no ground plane."""
+    plane = rig.facts.get("plane")
+    if plane is None:
+        raise InputError("no ground plane was found, so the object cannot be masked automatically", "masks",
+                         "put masks into the scene's folder masks/, or photograph on a textured table")
+    height = float(plane["offset"])
+    sizes = {v.name: (round(v.width * f), round(v.height * f)) for v in rig.views for f in [min(1, WORKING / max(v.width, v.height))]}
+    labs = {v.name: to_lab(poses / v.image, sizes[v.name]) for v in progress(rig.views, "photos to compare")}
+    ground, spread = bare_ground(rig, labs, height)
+    odds = {v.name: evidence(v, rig, labs[v.name], ground, spread, height) for v in progress(rig.views, "difference to bare ground")}
+    points, cell = soft_hull(rig, odds, height)
+    if not len(points):
+        raise InputError("nothing above the ground plane stands out in the photos", "masks",
+                         "put masks into the scene's folder masks/")
+    below = footprint(rig, points, cell)
+    odds = {v.name: evidence(v, rig, labs[v.name], ground, spread, height, below) for v in progress(rig.views, "with the footprint")}
+    points, cell = soft_hull(rig, odds, height)
+    eight = {n: np.clip(lab * [2.55, 1, 1] + [0, 128, 128], 0, 255).astype(np.uint8) for n, lab in labs.items()}
+    masks = {}
+    for turn, band in ((1, 0.035), (2, 0.02)):
+        hulls = {v.name: silhouette(v, points, cell, sizes[v.name]) for v in rig.views}
+        width = {n: max(3, round(band * np.sqrt(h.sum()) * 1.5)) for n, h in hulls.items()}
+        with ThreadPoolExecutor(threads) as pool:
+            jobs = {n: pool.submit(cut, eight[n], hulls[n], odds[n], width[n]) for n in hulls}
+            masks = {n: jobs[n].result() for n in progress(list(jobs), f"cut along edges, pass {turn}")}
+        points, cell = hull_points(rig, masks, 96, 0.15)
+        if not len(points):
+            raise InputError("the masks of the photos contradict each other", "masks", "put masks into the scene's folder masks/")
+    out = {}
+    for v in rig.views:
+        kept = masks[v.name] & grow(silhouette(v, points, cell, sizes[v.name]), 4)
+        soft = cv2.resize(kept.astype(np.float32), (v.width, v.height), interpolation=cv2.INTER_CUBIC)
+        out[v.name] = soft > 0.5
+    return out, {"why": "no masks came with the photos; difference to the bare ground plane, GrabCut, hull"}
