@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from .cameras import Rig, View, save_cameras
+from .cameras import Rig, View, Y_FROM_Z_UP, save_cameras
 from .capture import camera_file
 from .config import Poses
 from .errors import InputError
@@ -213,6 +213,9 @@ def upright(found, photos, model, names, capture: Path, settings: Poses):
              "plane": None if plane is None else {"normal": rotation @ plane[0], "offset": scale * plane[1] + shift @ (rotation @ plane[0]),
                                                   "inlier_share": plane[2]}}
     moved = [similarity(p, rotation, shift, scale) for p in poses]
+    world = np.eye(4)
+    world[:3, :3], world[:3, 3] = scale * rotation, shift
+    facts["world"] = world
     points = {"xyz": scale * xyz @ rotation.T + shift, "rgb": rgb, "error": error, "offsets": offsets, "views": views}
     return kept, lenses, moved, scale * rotation @ center + shift, 1.25 * scale * radius, points, facts
 
@@ -234,7 +237,7 @@ def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: 
         radius = 0.5 * float(np.median(np.linalg.norm(positions(poses) - center, axis=1)))
         points = {"xyz": np.zeros((0, 3)), "rgb": np.zeros((0, 3), np.uint8), "error": np.zeros(0),
                   "offsets": np.zeros(1, int), "views": np.zeros(0, int)}
-        facts = {"source": "transforms.json", "up": "the cameras' own world", "plane": None}
+        facts = {"source": "transforms.json", "up": "the cameras' own world", "plane": None, "world": Y_FROM_Z_UP}
     else:
         found, model, names, facts = _estimated(capture, photos, scene, settings, threads)
         kept, lenses, poses, center, radius, points, more = upright(found, photos, model, names, capture, settings)

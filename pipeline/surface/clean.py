@@ -1,0 +1,72 @@
+"""From a field to a closed, decimated triangle mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+from skimage.measure import marching_cubes
+
+from ..errors import InputError
+from ..mesh_io import Mesh, vertex_normals
+from ..voxels import Grid
+
+
+def largest_solid(field: np.ndarray, share: float = 0.05) -> np.ndarray:
+    """Remove solids smaller than `share` of the largest, and fill cavities that no view can see."""
+    labels, count = ndimage.label(field > 0)
+    if not count:
+        return np.minimum(field, -1e-3)
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    field = np.where((labels > 0) & (sizes[labels] < share * sizes.max()), -0.5, field)
+    empty, count = ndimage.label(field <= 0)
+    outside = np.unique(np.concatenate([empty[[0, -1]].ravel(), empty[:, [0, -1]].ravel(), empty[:, :, [0, -1]].ravel()]))
+    return np.where((empty > 0) & ~np.isin(empty, outside), 0.5, field)
+
+
+def to_mesh(field: np.ndarray, grid: Grid) -> Mesh:
+    """Marching cubes of the zero level (always closed: the field is padded with outside)."""
+    field = np.pad(ndimage.gaussian_filter(field, 0.7), 1, constant_values=-1.0)
+    if field.max() <= 0:
+        raise InputError("the masks leave no volume", "mesh", "check the masks (work/<scene>/masks/overlay.jpg)")
+    vertices, faces, _, _ = marching_cubes(field.astype(np.float32), 0.0, gradient_direction="ascent")
+    vertices = grid.low + (vertices - 1 + 0.5) * grid.cell
+    return Mesh(vertices, faces.astype(np.int64), vertex_normals(vertices, faces))
+
+
+def simplify(mesh: Mesh, faces: int) -> tuple[Mesh, dict]:
+    """Repair, smooth lightly (Taubin), decimate (quadrics) with pymeshlab; facts about the result from open3d."""
+    import pymeshlab
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.faces))
+    meshes.meshing_remove_duplicate_vertices()
+    meshes.meshing_remove_null_faces()
+    meshes.apply_coord_taubin_smoothing(stepsmoothnum=6)
+    meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=faces, preservenormal=True, preservetopology=True,
+                                                    optimalplacement=True, qualitythr=0.4)
+    meshes.meshing_repair_non_manifold_edges()
+    meshes.meshing_repair_non_manifold_vertices()
+    meshes.meshing_close_holes(maxholesize=200)
+    meshes.meshing_remove_unreferenced_vertices()
+    result = meshes.current_mesh()
+    vertices, triangles = result.vertex_matrix(), result.face_matrix().astype(np.int64)
+    if signed_volume(vertices, triangles) < 0:
+        triangles = triangles[:, ::-1]
+    out = Mesh(vertices, triangles, vertex_normals(vertices, triangles))
+    return out, facts(out)
+
+
+def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return float((a * np.cross(b, c)).sum() / 6)
+
+
+def facts(mesh: Mesh) -> dict:
+    """Watertight, edge-manifold, number of parts, by Open3D."""
+    from ..runtime import import_open3d
+    o3d = import_open3d()
+    shell = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces))
+    parts = np.asarray(shell.cluster_connected_triangles()[1])
+    return {"watertight": bool(shell.is_edge_manifold(allow_boundary_edges=False) and shell.is_vertex_manifold()),
+            "parts": len(parts), "vertices": len(mesh.vertices), "faces": len(mesh.faces),
+            "size": np.ptp(mesh.vertices, axis=0).tolist()}

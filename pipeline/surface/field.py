@@ -1,0 +1,118 @@
+"""Dense fields over a voxel grid from many views: visual hull and stereo. Compiled with numba, one thread per slab.
+
+Sign: positive inside the object. Unit: the truncation distance; values clipped to [-1, 1].
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import njit, prange
+
+from ..cameras import View
+from ..voxels import Grid
+
+MAX_IGNORED = 12
+
+
+def projections(views: list[View], width: int, height: int) -> np.ndarray:
+    """(v, 3, 4) matrices from world points to pixel coordinates of images resized to (width, height)."""
+    out = []
+    for v in views:
+        scale = np.diag([width / v.width, height / v.height, 1.0])
+        out.append(scale @ v.K @ v.world_to_camera[:3])
+    return np.stack(out).astype(np.float32)
+
+
+def signed_distance(mask: np.ndarray) -> np.ndarray:
+    """Pixels to the mask's edge, positive inside (h, w)."""
+    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
+    outside = cv2.distanceTransform(1 - mask.astype(np.uint8), cv2.DIST_L2, 3)
+    return (inside - outside).astype(np.float32)
+
+
+@njit(parallel=True, fastmath=True, cache=False)
+def hull_field(low, cell, shape, matrices, distances, focal, truncation, tolerance):
+    """Per cell the (k + 1)-th smallest signed distance over the views that see it, k = tolerance x their number."""
+    out = np.empty(shape, np.float32)
+    views, h, w = distances.shape
+    for i in prange(shape[0]):
+        smallest = np.empty(MAX_IGNORED + 1, np.float32)
+        for j in range(shape[1]):
+            for k in range(shape[2]):
+                x = low[0] + (i + 0.5) * cell
+                y = low[1] + (j + 0.5) * cell
+                z = low[2] + (k + 0.5) * cell
+                smallest[:] = 1e9
+                seen = 0
+                for v in range(views):
+                    m = matrices[v]
+                    d = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+                    if d <= 0:
+                        continue
+                    u = int((m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / d)
+                    r = int((m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / d)
+                    if u < 0 or r < 0 or u >= w or r >= h:
+                        continue
+                    seen += 1
+                    value = distances[v, r, u] * d / focal[v]
+                    if value < smallest[MAX_IGNORED]:
+                        p = MAX_IGNORED
+                        while p > 0 and smallest[p - 1] > value:
+                            smallest[p] = smallest[p - 1]
+                            p -= 1
+                        smallest[p] = value
+                ignored = min(int(tolerance * seen), MAX_IGNORED)
+                value = smallest[ignored] / truncation if seen * 2 >= views else -1.0
+                out[i, j, k] = min(max(value, -1.0), 1.0)
+    return out
+
+
+@njit(parallel=True, fastmath=True, cache=False)
+def stereo_field(low, cell, shape, matrices, depths, weights, truncation):
+    """Weighted mean of truncated (cell depth - surface depth), its weight, and votes for free space, per cell."""
+    out = np.zeros(shape, np.float32)
+    total = np.zeros(shape, np.float32)
+    free = np.zeros(shape, np.float32)
+    views, h, w = depths.shape
+    for i in prange(shape[0]):
+        for j in range(shape[1]):
+            for k in range(shape[2]):
+                x = low[0] + (i + 0.5) * cell
+                y = low[1] + (j + 0.5) * cell
+                z = low[2] + (k + 0.5) * cell
+                for v in range(views):
+                    m = matrices[v]
+                    d = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+                    if d <= 0:
+                        continue
+                    u = int((m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / d)
+                    r = int((m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / d)
+                    if u < 0 or r < 0 or u >= w or r >= h or weights[v, r, u] == 0:
+                        continue
+                    behind = (d - depths[v, r, u]) / truncation
+                    if behind < -1:
+                        free[i, j, k] += 1
+                    elif behind <= 1:
+                        out[i, j, k] += behind * weights[v, r, u]
+                        total[i, j, k] += weights[v, r, u]
+                if total[i, j, k] > 0:
+                    out[i, j, k] /= total[i, j, k]
+    return out, total, free
+
+
+def stacked(images: list[np.ndarray], interpolation=cv2.INTER_NEAREST) -> np.ndarray:
+    """(v, h, w) float32: all images resized to the first one's size."""
+    h, w = images[0].shape
+    return np.stack([i if i.shape == (h, w) else cv2.resize(i, (w, h), interpolation=interpolation) for i in images]).astype(np.float32)
+
+
+def hull_of(grid: Grid, views: list[View], masks: list[np.ndarray], truncation: float, tolerance: float) -> np.ndarray:
+    """Soft visual hull field (nx, ny, nz) of boolean masks."""
+    small = [cv2.resize(m.astype(np.uint8), None, fx=s, fy=s, interpolation=cv2.INTER_AREA) > 0
+             for m in masks for s in [min(1.0, 900 / max(m.shape))]]
+    distances = stacked([signed_distance(m) for m in small])
+    h, w = distances.shape[1:]
+    focal = np.array([v.fx * w / v.width for v in views], np.float32)
+    return hull_field(grid.low.astype(np.float32), np.float32(grid.cell), grid.shape, projections(views, w, h), distances,
+                      focal, np.float32(truncation), tolerance)

@@ -1,0 +1,28 @@
+"""Shaded pictures of a mesh by Open3D's ray caster."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..mesh_io import Mesh
+from ..runtime import import_open3d
+
+
+def shaded(mesh: Mesh, size: int = 320) -> np.ndarray:
+    """Four views side by side, (size, 4 size, 3) uint8."""
+    o3d = import_open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.faces.astype(np.uint32)))
+    center = 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0))
+    radius = 0.5 * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    tiles = []
+    for azimuth in (20, 110, 200, 290):
+        a, e = np.radians(azimuth), np.radians(25)
+        eye = center + 3.2 * radius * np.array([np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)])
+        rays = scene.create_rays_pinhole(38, center.tolist(), eye.tolist(), [0, 1, 0], size, size)
+        hit = scene.cast_rays(rays)
+        normal = hit["primitive_normals"].numpy()
+        to_eye = (eye - center) / np.linalg.norm(eye - center)
+        light = 0.25 + 0.75 * np.clip(normal @ (to_eye + [0, 0.5, 0]) / 1.1, 0, 1)
+        tiles.append(np.where(np.isfinite(hit["t_hit"].numpy())[..., None], light[..., None] * [225, 220, 210], [30, 32, 36]))
+    return np.concatenate(tiles, 1).astype(np.uint8)
