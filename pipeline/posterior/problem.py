@@ -1,0 +1,86 @@
+"""What fit, sample and refine share: observations, the renderer, the data term, material steps.
+
+Data term, per channel: ((L - y) / (y + SHADE))^2, a relative error with a floor, so that highlights do not outweigh the
+rest (design note `method.md` section 5). A saturated observation is a lower bound: no penalty for being brighter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..observe import Observations
+from ..optics import Explanation, Gradient, Renderer
+
+SHADE = 0.1         # radiance (photo white = 1) below which errors count absolutely
+ALBEDO_MAX = 0.98   # a brighter base colour would never come to rest in multi-bounce light
+
+
+@dataclass
+class Batch:
+    """Pixels of one step: rays o, d (spp, n, 3), observed y (n, 3), clipped (n,)."""
+    index: np.ndarray
+    o: np.ndarray
+    d: np.ndarray
+    y: np.ndarray
+    clipped: np.ndarray
+
+
+class Problem:
+    """Draws batches and evaluates the data term with its gradient."""
+
+    def __init__(self, observations: Observations, renderer: Renderer, roughness_min: float):
+        self.observations, self.renderer, self.roughness_min = observations, renderer, roughness_min
+
+    def batch(self, pixels: int, spp: int, rng: np.random.Generator) -> Batch:
+        obs = self.observations
+        index = rng.integers(len(obs), size=pixels)
+        o, d = obs.rays(np.broadcast_to(index, (spp, pixels)), rng)
+        return Batch(index, o, d, obs.rgb[index], obs.clipped[index])
+
+    @staticmethod
+    def residual(L: np.ndarray, batch: Batch) -> np.ndarray:
+        """Weighted residual (n, 3); zero where a saturated pixel is exceeded."""
+        r = (L - batch.y) / (batch.y + SHADE)
+        return np.where(batch.clipped[:, None] & (r > 0), 0, r)
+
+    def loss_and_slope(self, batch: Batch):
+        """dloss for `Renderer.gradient`: mean squared weighted residual and its derivative in L."""
+        def dloss(L):
+            r = self.residual(L, batch)
+            return float((r**2).mean()), 2 * r / (batch.y + SHADE) / r.size
+        return dloss
+
+    def gradient(self, x: Explanation, batch: Batch, seed: int) -> Gradient:
+        return self.renderer.gradient(x, batch.o, batch.d, len(batch.y), self.loss_and_slope(batch), seed)
+
+
+class Materials:
+    """Base colour, roughness, metallic as torch parameters under Adam, projected to their valid sets (Eqs. 15-17)."""
+
+    def __init__(self, x: Explanation, learning_rate: float, roughness_min: float, names=("base_color", "roughness", "metallic")):
+        self.values = {n: torch.from_numpy(getattr(x, n).copy()) for n in ("base_color", "roughness", "metallic")}
+        self.bounds = {"base_color": (0.0, ALBEDO_MAX), "roughness": (roughness_min, 1.0), "metallic": (0.0, 1.0)}
+        self.names = names
+        self.optimizer = torch.optim.Adam([self.values[n] for n in names], learning_rate, betas=(0.9, 0.99))
+
+    def step(self, gradient: Gradient) -> None:
+        for n in self.names:
+            self.values[n].grad = torch.from_numpy(np.ascontiguousarray(getattr(gradient, n), np.float32))
+        self.optimizer.step()
+        for n in self.names:
+            self.values[n].clamp_(*self.bounds[n])
+
+    def decay(self, learning_rate: float) -> None:
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate
+
+    def explanation(self, light: np.ndarray) -> Explanation:
+        return Explanation(light, *(self.values[n].numpy() for n in ("base_color", "roughness", "metallic")))
+
+
+def step_seed(rng: np.random.Generator) -> int:
+    """A fresh 31-bit seed for the renderer."""
+    return int(rng.integers(1 << 31))

@@ -1,0 +1,52 @@
+"""The trained diffusion prior: weights, value code and label handling in one object."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..errors import InputError, nearest
+from .code import Code
+from .network import LABELS, Denoiser
+
+
+class DiffusionPrior:
+    """Denoiser over codes of (height, 2 height) maps; see the package docstring for the protocol."""
+
+    def __init__(self, model: Denoiser, code: Code, height: int):
+        self.model, self.code, self.height, self.width = model.eval().requires_grad_(False), code, height, 2 * height
+
+    @classmethod
+    def load(cls, path: Path) -> "DiffusionPrior":
+        """Read a .safetensors file written by pipeline.prior.export."""
+        from safetensors import SafetensorError, safe_open
+        try:
+            with safe_open(str(path), "pt") as file:
+                facts = json.loads((file.metadata() or {})["heliograph"])
+                state = {k: file.get_tensor(k).float() for k in file.keys()}
+            model = Denoiser(**facts["network"])
+            model.load_state_dict(state)
+        except (SafetensorError, KeyError, RuntimeError, OSError, TypeError) as error:
+            raise InputError(f"not a Heliograph light prior ({type(error).__name__}: {error})", path,
+                             "give a file written by `python -m pipeline.prior.export`") from error
+        return cls(model, Code(facts["mean"], facts["std"]), facts["height"])
+
+    def label_index(self, label: str | None) -> int:
+        if label is None:
+            return len(LABELS)
+        if label not in LABELS:
+            raise InputError(f"the prior has no class '{label}'", "sample.label", nearest(label, LABELS))
+        return LABELS.index(label)
+
+    def denoise(self, x: torch.Tensor, sigma: float, label: str | None = None) -> torch.Tensor:
+        """E[x_0 | x_0 + sigma n = x] for codes (n, 3, h, w)."""
+        return self.model(x, torch.full((len(x),), float(sigma)), torch.full((len(x),), self.label_index(label)))
+
+    def decode(self, x: torch.Tensor) -> torch.Tensor:
+        return self.code.decode(x)
+
+    def encode(self, radiance: np.ndarray) -> torch.Tensor:
+        return self.code.encode(radiance)

@@ -1,0 +1,14 @@
+"""Atlas: one UV set in [0, 1]^2 without overlaps; a valid given one is kept."""
+from pipeline.files import report_metrics, stage_folder
+from pipeline.stage import stage
+
+
+def work(s):
+    from pipeline.atlas import make_atlas
+    with stage_folder(s.out) as out:
+        metrics = make_atlas(s.args.mesh / "mesh.ply", out, s.scene.atlas)
+        report_metrics(out / "atlas.json", metrics | s.costs())
+
+
+if __name__ == "__main__":
+    stage(__doc__, {"mesh": "folder of the mesh stage"}, work)

@@ -1,0 +1,15 @@
+"""Observe: random pixels over all views in one table, with cached primary hits; some views held out for scoring."""
+from pipeline.files import report_metrics, stage_folder
+from pipeline.stage import stage
+
+
+def work(s):
+    from pipeline.observe import make_observations
+    with stage_folder(s.out) as out:
+        metrics = make_observations(s.args.poses, s.args.masks, s.args.atlas / "mesh_uv.ply", out, s.scene.observe)
+        report_metrics(out / "observe.json", metrics | s.costs())
+
+
+if __name__ == "__main__":
+    stage(__doc__, {"poses": "folder of the poses stage", "masks": "folder of the masks stage",
+                    "atlas": "folder of the atlas stage"}, work)
