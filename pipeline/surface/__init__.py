@@ -18,7 +18,7 @@ from ..images import linear_to_srgb, luminance, read_exr, read_png, write_png
 from ..masks.agreement import hull_points
 from ..mesh_io import Mesh, load_mesh, save_mesh
 from ..voxels import Grid
-from .clean import facts, largest_solid, simplify, to_mesh
+from .clean import facts, simplify, to_mesh
 from .field import hull_of, projections, stacked, stereo_field
 from .preview import shaded
 from .stereo import Depth, stereo
@@ -86,12 +86,12 @@ def build_field(rig: Rig, poses: Path, masks: dict, confidence: dict, settings: 
     if method == "auto":
         method = "fused" if share >= settings.min_agreement else "hull"
     field = SURFACE_METHODS[method](grid, hull, depths)
-    if plane is not None:                                           # nothing of the object lies below the ground
+    if plane is not None:        # nothing of the object lies below the ground; a thin slab of ground would stick to it
         y = grid.low[1] + (np.arange(grid.shape[1]) + 0.5) * grid.cell
-        field = np.minimum(field, ((y - plane["offset"]) / truncation)[None, :, None])
+        field = np.minimum(field, ((y - plane["offset"] - 1.5 * grid.cell) / truncation)[None, :, None])
     why = "asked for" if settings.method != "auto" else f"{100 * share:.0f} % of mask pixels have depth that views agree on; " \
         f"{'at least' if method == 'fused' else 'less than'} {100 * settings.min_agreement:.0f} % are needed to trust stereo"
-    return largest_solid(field), grid, {"method": method, "why": why, "stereo_share": share}
+    return field, grid, {"method": method, "why": why, "stereo_share": share}
 
 
 def make_mesh(poses: Path, masks_folder: Path, scene: Path, out: Path, settings: MeshSettings, threads: int) -> dict:

@@ -26,7 +26,7 @@ def largest_solid(field: np.ndarray, share: float = 0.05) -> np.ndarray:
 
 def to_mesh(field: np.ndarray, grid: Grid) -> Mesh:
     """Marching cubes of the zero level (always closed: the field is padded with outside)."""
-    field = np.pad(ndimage.gaussian_filter(field, 0.7), 1, constant_values=-1.0)
+    field = np.pad(largest_solid(ndimage.gaussian_filter(field, 0.7)), 1, constant_values=-1.0)
     if field.max() <= 0:
         raise InputError("the masks leave no volume", "mesh", "check the masks (work/<scene>/masks/overlay.jpg)")
     vertices, faces, _, _ = marching_cubes(field.astype(np.float32), 0.0, gradient_direction="ascent")

@@ -24,5 +24,5 @@ def shaded(mesh: Mesh, size: int = 320) -> np.ndarray:
         normal = hit["primitive_normals"].numpy()
         to_eye = (eye - center) / np.linalg.norm(eye - center)
         light = 0.25 + 0.75 * np.clip(normal @ (to_eye + [0, 0.5, 0]) / 1.1, 0, 1)
-        tiles.append(np.where(np.isfinite(hit["t_hit"].numpy())[..., None], light[..., None] * [225, 220, 210], [30, 32, 36]))
+        tiles.append(np.where(np.isfinite(hit["t_hit"].numpy())[..., None], light[..., None] * [225, 220, 210], [30, 32, 36])[::-1])
     return np.concatenate(tiles, 1).astype(np.uint8)

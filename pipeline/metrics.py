@@ -1,0 +1,57 @@
+"""Scores: how well an explanation predicts photos it has not seen, and how meshes and lights compare with truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from .cameras import View
+from .envmap import solid_angles
+from .images import linear_to_srgb, read_exr, read_png
+from .optics import Explanation, Renderer
+
+
+def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """Peak signal-to-noise ratio in dB of two linear pictures, compared as sRGB values in [0, 1], inside `mask`."""
+    error = (linear_to_srgb(a) - linear_to_srgb(b)) ** 2
+    error = error[mask] if mask is not None else error
+    return float(-10 * np.log10(max(error.mean(), 1e-10)))
+
+
+def view_rays(view: View):
+    """rays(rng) -> o, d (h w, 3): one random point in every pixel, row by row."""
+    rows, columns = np.mgrid[0:view.height, 0:view.width].reshape(2, -1)
+
+    def rays(rng):
+        o, d = view.rays(np.stack([columns, rows], -1) + rng.random((len(rows), 2)))
+        return np.ascontiguousarray(o, np.float32), d.astype(np.float32)
+    return rays
+
+
+def render_view(renderer: Renderer, x: Explanation, view: View, spp: int, seed: int = 0) -> np.ndarray:
+    """Picture (h, w, 3) of the object on black."""
+    renderer.set(x)
+    return renderer.mean_radiance(view_rays(view), spp, seed).reshape(view.height, view.width, 3)
+
+
+def score_held_out(problem, x: Explanation, poses: Path, masks: Path, spp: int, limit: int = 8) -> dict:
+    """PSNR inside the mask of each held-out view (at most `limit` of them) and their mean."""
+    scores = {}
+    for view in problem.observations.held_out[:: max(1, len(problem.observations.held_out) // limit)][:limit]:
+        factor = min(1.0, 640 / max(view.width, view.height))
+        small = view.scaled(factor)
+        import cv2
+        photo = cv2.resize(read_exr(poses / view.image), (small.width, small.height), interpolation=cv2.INTER_AREA)
+        mask = cv2.resize((read_png(masks / "masks" / f"{view.name}.png") > 127).astype(np.float32),
+                          (small.width, small.height), interpolation=cv2.INTER_AREA) > 0.999
+        scores[view.name] = psnr(render_view(problem.renderer, x, small, min(spp, 32)), photo, mask)
+    return {"held_out_psnr": float(np.mean(list(scores.values()))) if scores else None, "held_out": scores}
+
+
+def light_psnr(a: np.ndarray, b: np.ndarray) -> float:
+    """PSNR in dB of two lat-long lights as log radiance over a range of e^6, after one common scale; solid-angle weighted."""
+    la, lb = np.log(np.maximum(a, 1e-3 * a.mean())), np.log(np.maximum(b, 1e-3 * b.mean()))
+    weight = (solid_angles(*a.shape[:2]) / (4 * np.pi))[..., None] / 3
+    shift = ((la - lb) * weight).sum()
+    return float(-10 * np.log10((((la - lb - shift) / 6) ** 2 * weight).sum()))

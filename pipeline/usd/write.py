@@ -1,0 +1,170 @@
+"""Write exports/<scene>.usda and exports/<scene>/: Y-up, metres, UsdPreviewSurface, DomeLight, relative paths only.
+
+The dome's EXR carries the absolute scale (intensity 1, exposure 0, white) because Blender's importer ignores
+`inputs:exposure`; a Y-up stage needs no rotation on the light (frames: docs/frames.md).
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdUtils, Vt
+
+from .. import __version__
+from ..errors import InputError
+from ..files import atomic_path, stage_folder
+from ..images import linear_to_srgb, write_exr, write_png
+from ..mesh_io import Mesh, load_mesh
+from ..optics import Explanation
+from .check import check
+
+GAUGE = ("light scale and base colour trade off: (s L, a / s) explains diffuse photos equally well. The fit starts with a "
+         "median base colour of 0.35; specular light and interreflection move it from there.")
+
+
+@dataclass
+class Asset:
+    """File names of one sample's textures, relative to exports/."""
+    base_color: str
+    roughness: str
+    metallic: str
+    light: str
+
+
+def write_textures(x: Explanation, folder: Path, relative: str) -> Asset:
+    """8-bit PNG maps (base colour sRGB, others raw) and a float EXR light."""
+    folder.mkdir(parents=True)
+    write_png(folder / "base_color.png", np.round(linear_to_srgb(x.base_color) * 255))
+    for name in ("roughness", "metallic"):
+        write_png(folder / f"{name}.png", np.round(np.clip(getattr(x, name), 0, 1) * 255))
+    write_exr(folder / "light.exr", x.light)
+    return Asset(*(f"{relative}/{n}" for n in ("base_color.png", "roughness.png", "metallic.png", "light.exr")))
+
+
+def new_stage(path: Path, name: str, facts: dict) -> tuple[Usd.Stage, Usd.Prim]:
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    root = UsdGeom.Xform.Define(stage, f"/{name}").GetPrim()
+    stage.SetDefaultPrim(root)
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    root.SetCustomDataByKey("heliograph", {k: v for k, v in (facts | {"version": __version__, "gauge": GAUGE}).items() if v is not None})
+    return stage, root
+
+
+def define_mesh(stage: Usd.Stage, root: Usd.Prim, mesh: Mesh) -> UsdGeom.Mesh:
+    """The mesh with vertex normals and vertex st (v up)."""
+    prim = UsdGeom.Mesh.Define(stage, root.GetPath().AppendChild("Object"))
+    points = mesh.vertices.astype(np.float32)
+    prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
+    prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.astype(np.int32).ravel()))
+    prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(mesh.normals.astype(np.float32)))
+    prim.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    prim.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
+    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    prim.CreateDoubleSidedAttr(True)
+    st = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+    st.Set(Vt.Vec2fArray.FromNumpy(mesh.uv.astype(np.float32)))
+    return prim
+
+
+def define_material(stage: Usd.Stage, root: Usd.Prim, mesh: UsdGeom.Mesh) -> dict[str, UsdShade.Shader]:
+    """UsdPreviewSurface (metallic workflow, ior 1.5) with three texture readers, which are returned by name."""
+    material = UsdShade.Material.Define(stage, root.GetPath().AppendChild("Material"))
+    path = material.GetPath()
+    reader = UsdShade.Shader.Define(stage, path.AppendChild("St"))
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("useSpecularWorkflow", Sdf.ValueTypeNames.Int).Set(0)
+    surface.CreateInput("ior", Sdf.ValueTypeNames.Float).Set(1.5)
+    textures = {}
+    for name, slot, space, kind, output in (("base_color", "diffuseColor", "sRGB", Sdf.ValueTypeNames.Color3f, "rgb"),
+                                            ("roughness", "roughness", "raw", Sdf.ValueTypeNames.Float, "r"),
+                                            ("metallic", "metallic", "raw", Sdf.ValueTypeNames.Float, "r")):
+        texture = UsdShade.Shader.Define(stage, path.AppendChild("".join(w.title() for w in name.split("_"))))
+        texture.CreateIdAttr("UsdUVTexture")
+        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set(space)
+        for wrap in ("wrapS", "wrapT"):
+            texture.CreateInput(wrap, Sdf.ValueTypeNames.Token).Set("clamp")
+        texture.CreateOutput(output, Sdf.ValueTypeNames.Float3 if output == "rgb" else Sdf.ValueTypeNames.Float)
+        texture.CreateInput("file", Sdf.ValueTypeNames.Asset)
+        surface.CreateInput(slot, kind).ConnectToSource(texture.ConnectableAPI(), output)
+        textures[name] = texture
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token).GetAttr().GetPath())
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    return textures
+
+
+def define_light(stage: Usd.Stage, root: Usd.Prim) -> UsdLux.DomeLight:
+    light = UsdLux.DomeLight.Define(stage, root.GetPath().AppendChild("Light"))
+    light.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
+    light.CreateIntensityAttr(1.0)
+    light.CreateExposureAttr(0.0)
+    light.CreateColorAttr(Gf.Vec3f(1, 1, 1))
+    light.CreateTextureFileAttr()
+    return light
+
+
+def point_at(textures: dict, light: UsdLux.DomeLight, asset: Asset, prefix: str) -> None:
+    """Set every file of one sample at the current edit target."""
+    for name, texture in textures.items():
+        texture.GetInput("file").Set(Sdf.AssetPath(f"{prefix}{getattr(asset, name)}"))
+    light.GetTextureFileAttr().Set(Sdf.AssetPath(f"{prefix}{asset.light}"))
+
+
+def write_variants(path: Path, name: str, mesh: Mesh, assets: list[Asset], facts: dict) -> None:
+    """The main file: one variant per sample."""
+    stage, root = new_stage(path, name, facts)
+    prim = define_mesh(stage, root, mesh)
+    textures, light = define_material(stage, root, prim), define_light(stage, root)
+    variants = root.GetVariantSets().AddVariantSet("sample")
+    for k, asset in enumerate(assets):
+        variants.AddVariant(f"sample_{k}")
+        variants.SetVariantSelection(f"sample_{k}")
+        with variants.GetVariantEditContext():
+            point_at(textures, light, asset, "./")
+    variants.SetVariantSelection("sample_0")
+    stage.GetRootLayer().Save()
+
+
+def write_flat(path: Path, name: str, mesh: Mesh, asset: Asset, facts: dict) -> None:
+    """One sample without any composition, beside its folder of textures."""
+    stage, root = new_stage(path, name, facts)
+    prim = define_mesh(stage, root, mesh)
+    inside = Asset(*(v.split("/", 1)[1] for v in vars(asset).values()))
+    point_at(define_material(stage, root, prim), define_light(stage, root), inside, "./")
+    stage.GetRootLayer().Save()
+
+
+def export(atlas: Path, samples: list[Path], out: Path, facts: dict) -> dict:
+    """Write `out` (exports/<scene>.usda) and its folder, both whole or not at all, and check them.
+
+    samples: folders with light.exr, base_color.exr, roughness.exr, metallic.exr. Raises InputError when exports/ cannot
+    be written, RuntimeError when an export does not pass the USD validators.
+    """
+    if not os.access(out.parent if out.parent.exists() else out.parent.parent, os.W_OK):
+        raise InputError("the folder cannot be written to", out.parent, "chmod u+w it, or export elsewhere")
+    scene, name, mesh = out.stem, Tf.MakeValidIdentifier(out.stem), load_mesh(atlas / "mesh_uv.ply")
+    facts = facts | {"samples": len(samples)}
+    with stage_folder(out.with_suffix("")) as folder:
+        assets = [write_textures(Explanation.load(s), folder / f"sample_{k}", f"{scene}/sample_{k}") for k, s in enumerate(samples)]
+        for k, asset in enumerate(assets):
+            write_flat(folder / f"sample_{k}.usda", name, mesh, asset, facts | {"sample": k})
+    with atomic_path(out) as temporary:
+        write_variants(temporary, name, mesh, assets, facts)
+    problems = check(out) + [p for k in range(len(samples)) for p in check(out.with_suffix("") / f"sample_{k}.usda")]
+    if problems:
+        raise RuntimeError("the export does not pass the USD validators:\n" + "\n".join(problems))
+    with atomic_path(out.with_suffix(".usdz")) as package:
+        made = UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(out.with_suffix("") / "sample_0.usda")), str(package))
+    size = sum(f.stat().st_size for f in out.with_suffix("").rglob("*") if f.is_file()) / 2**20
+    return {"samples": len(samples), "problems": problems, "usdz": bool(made), "mib": round(size, 2)}
+

@@ -1,0 +1,29 @@
+"""Refine: one sample's materials at full texture size, with the light's shape held (DPI, Eq. 17); held-out score."""
+from pipeline.files import report_metrics, stage_folder
+from pipeline.stage import stage
+
+
+def work(s):
+    from pipeline.metrics import score_held_out
+    from pipeline.optics import Explanation
+    from pipeline.posterior.load import load_problem
+    from pipeline.posterior.refine import COARSE, refine
+    from pipeline.runtime import set_threads
+    set_threads(s.args.threads)
+    settings, folders = s.scene.refine, (s.args.observe, s.args.poses, s.args.atlas)
+    with stage_folder(s.out) as out:
+        sample = Explanation.load(s.args.sample)
+        rows = sample.light.shape[0]
+        problem = load_problem(*folders, s.scene, settings.texture, rows)
+        small = load_problem(*folders, s.scene, min(COARSE, settings.texture), rows)
+        refined, facts = refine(problem, small, sample, settings, s.args.index)
+        refined.save(out)
+        scores = score_held_out(problem, refined, s.args.poses, s.args.masks, s.scene.report.spp)
+        report_metrics(out / "refine.json", {"index": s.args.index} | facts | scores | s.costs())
+
+
+if __name__ == "__main__":
+    stage(__doc__, {"observe": "folder of the observe stage", "poses": "folder of the poses stage",
+                    "masks": "folder of the masks stage", "atlas": "folder of the atlas stage",
+                    "sample": "folder of the sample"}, work,
+          lambda parser: parser.add_argument("--index", type=int, required=True, help="which sample"))
