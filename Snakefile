@@ -96,13 +96,13 @@ rule atlas:
         command("atlas", "--mesh work/{wildcards.scene}/mesh --out work/{wildcards.scene}/atlas")
 
 rule observe:
-    input: rules.atlas.output, rules.masks.output, rules.poses.output
+    input: rules.atlas.output, rules.mesh.output, rules.poses.output
     output: W + "observe/observe.json"
     params: settings("observe", "observe")
     log: W + "logs/observe.log"
     benchmark: W + "benchmarks/observe.tsv"
     shell:
-        command("observe", "--poses work/{wildcards.scene}/poses --masks work/{wildcards.scene}/masks --atlas work/{wildcards.scene}/atlas "
+        command("observe", "--poses work/{wildcards.scene}/poses --mesh work/{wildcards.scene}/mesh --atlas work/{wildcards.scene}/atlas "
         "--out work/{wildcards.scene}/observe")
 
 rule fit:
@@ -134,7 +134,7 @@ rule refine:
     log: W + "logs/refine_{sample}.log"
     benchmark: W + "benchmarks/refine_{sample}.tsv"
     shell:
-        command("refine", FOLDERS + "--masks work/{wildcards.scene}/masks --sample work/{wildcards.scene}/sample/{wildcards.sample} "
+        command("refine", FOLDERS + "--mesh work/{wildcards.scene}/mesh --sample work/{wildcards.scene}/sample/{wildcards.sample} "
                                    "--index {wildcards.sample} --out work/{wildcards.scene}/refine/{wildcards.sample}")
 
 rule export:

@@ -67,7 +67,7 @@ class Atlas(Section):
 
 class Observe(Section):
     """Random pixels over all views."""
-    pixels: int = Field(1_000_000, ge=256, le=20_000_000, description="pixels drawn over all fit views")
+    pixels: int = Field(1_500_000, ge=256, le=20_000_000, description="pixels drawn over all fit views")
     held_out: float = Field(0.1, ge=0, lt=0.6, description="share of views kept for scoring (at least 1 from 8 on)")
     erode: float = Field(1.5, ge=0, le=20, description="pixels taken off the mask's edge: mixed with background")
     seed: int = Field(0, ge=0)
@@ -85,7 +85,7 @@ class Fit(Section):
     """Point estimate, Eq. 15 of DPI: Adam on light and materials together."""
     steps: int = Field(300, ge=1, le=100000)
     pixels: int = Field(8192, ge=16, description="pixels per step, over all views")
-    spp: int = Field(8, ge=2, le=1024, multiple_of=2, description="paths per pixel and step; even: two independent halves")
+    spp: int = Field(4, ge=2, le=1024, multiple_of=2, description="paths per pixel and step; even: two independent halves")
     learning_rate: float = Field(0.02, gt=0, le=1)
     texture: int = Field(256, ge=8, le=4096, description="texture side during the fit")
     seed: int = Field(0, ge=0)
@@ -98,7 +98,7 @@ class Sample(Section):
     label: str | None = Field(None, description="class the prior is conditioned on; none: unconditional")
     steps: int = Field(250, ge=2, le=1000, description="noise levels, a sub-sequence of T = 1000")
     pixels: int = Field(4096, ge=16)
-    spp: int = Field(8, ge=2, le=1024, multiple_of=2)
+    spp: int = Field(4, ge=2, le=1024, multiple_of=2)
     guidance: float = Field(1.0, gt=0, le=100, description="multiplies the paper's rho schedule")
     learning_rate: float = Field(0.01, gt=0, le=1, description="materials' Adam step, Eq. 16")
     texture: int = Field(256, ge=8, le=4096)
@@ -107,9 +107,9 @@ class Sample(Section):
 
 class Refine(Section):
     """Materials (and one light scale) at full texture size with the light held, Eq. 17 of DPI."""
-    steps: int = Field(200, ge=0, le=100000)
-    pixels: int = Field(16384, ge=16)
-    spp: int = Field(8, ge=2, le=1024, multiple_of=2)
+    steps: int = Field(100, ge=0, le=100000)
+    pixels: int = Field(8192, ge=16)
+    spp: int = Field(4, ge=2, le=1024, multiple_of=2)
     learning_rate: float = Field(0.01, gt=0, le=1)
     texture: int = Field(1024, ge=16, le=8192, description="side of the exported textures")
 

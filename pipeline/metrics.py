@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from .cameras import View
@@ -35,17 +36,16 @@ def render_view(renderer: Renderer, x: Explanation, view: View, spp: int, seed: 
     return renderer.mean_radiance(view_rays(view), spp, seed).reshape(view.height, view.width, 3)
 
 
-def score_held_out(problem, x: Explanation, poses: Path, masks: Path, spp: int, limit: int = 8) -> dict:
+def score_held_out(problem, x: Explanation, poses: Path, mesh: Path, spp: int, limit: int = 8) -> dict:
     """PSNR inside the mask of each held-out view (at most `limit` of them) and their mean."""
     scores = {}
     for view in problem.observations.held_out[:: max(1, len(problem.observations.held_out) // limit)][:limit]:
         factor = min(1.0, 640 / max(view.width, view.height))
         small = view.scaled(factor)
-        import cv2
         photo = cv2.resize(read_exr(poses / view.image), (small.width, small.height), interpolation=cv2.INTER_AREA)
-        mask = cv2.resize((read_png(masks / "masks" / f"{view.name}.png") > 127).astype(np.float32),
+        mask = cv2.resize((read_png(mesh / "masks" / f"{view.name}.png") > 127).astype(np.float32),
                           (small.width, small.height), interpolation=cv2.INTER_AREA) > 0.999
-        scores[view.name] = psnr(render_view(problem.renderer, x, small, min(spp, 32)), photo, mask)
+        scores[view.name] = psnr(render_view(problem.renderer, x, small, spp), photo, mask)
     return {"held_out_psnr": float(np.mean(list(scores.values()))) if scores else None, "held_out": scores}
 
 

@@ -6,10 +6,10 @@ from pipeline.stage import stage
 def work(s):
     from pipeline.observe import make_observations
     with stage_folder(s.out) as out:
-        metrics = make_observations(s.args.poses, s.args.masks, s.args.atlas / "mesh_uv.ply", out, s.scene.observe)
+        metrics = make_observations(s.args.poses, s.args.mesh, s.args.atlas / "mesh_uv.ply", out, s.scene.observe)
         report_metrics(out / "observe.json", metrics | s.costs())
 
 
 if __name__ == "__main__":
-    stage(__doc__, {"poses": "folder of the poses stage", "masks": "folder of the masks stage",
+    stage(__doc__, {"poses": "folder of the poses stage", "mesh": "folder of the mesh stage (final masks)",
                     "atlas": "folder of the atlas stage"}, work)

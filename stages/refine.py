@@ -18,12 +18,12 @@ def work(s):
         small = load_problem(*folders, s.scene, min(COARSE, settings.texture), rows)
         refined, facts = refine(problem, small, sample, settings, s.args.index)
         refined.save(out)
-        scores = score_held_out(problem, refined, s.args.poses, s.args.masks, s.scene.report.spp)
+        scores = score_held_out(problem, refined, s.args.poses, s.args.mesh, s.scene.report.spp)
         report_metrics(out / "refine.json", {"index": s.args.index} | facts | scores | s.costs())
 
 
 if __name__ == "__main__":
     stage(__doc__, {"observe": "folder of the observe stage", "poses": "folder of the poses stage",
-                    "masks": "folder of the masks stage", "atlas": "folder of the atlas stage",
+                    "mesh": "folder of the mesh stage (final masks)", "atlas": "folder of the atlas stage",
                     "sample": "folder of the sample"}, work,
           lambda parser: parser.add_argument("--index", type=int, required=True, help="which sample"))

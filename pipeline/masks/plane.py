@@ -50,10 +50,19 @@ def bare_ground(rig: Rig, labs: dict[str, np.ndarray], height: float) -> tuple[n
         value, inside = sample(v, labs[v.name], points, interpolate=True)
         stack[k, inside] = value[inside]
     seen = np.isfinite(stack[..., 0]).sum(0)
-    median = _median(stack, seen)
-    spread = _median(np.abs(stack - median).max(-1, keepdims=True), seen)[:, 0]
+    median, spread = _median_and_spread(stack, seen)
+    steep = np.argsort([-v.position[1] / np.linalg.norm(v.position - rig.center) for v in rig.views])
+    steep = stack[steep[:max(6, round(0.35 * len(rig.views)))]]      # from above, little ground hides behind the object
+    enough = np.isfinite(steep[..., 0]).sum(0) >= 4
+    better = _median_and_spread(steep[:, enough], np.isfinite(steep[:, enough, 0]).sum(0))
+    median[enough], spread[enough] = better
     median[seen < 4], spread[seen < 4] = np.nan, np.nan
     return median.reshape(TEXTURE, TEXTURE, 3), spread.reshape(TEXTURE, TEXTURE)
+
+
+def _median_and_spread(stack: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    median = _median(stack, seen)
+    return median, _median(np.abs(stack - median).max(-1, keepdims=True), seen)[:, 0]
 
 
 def _median(stack: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -171,7 +180,8 @@ def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.n
     state[near] = cv2.GC_PR_BGD
     state[near & (odds > 1.0)] = cv2.GC_PR_FGD
     state[hull & (odds > -2.0)] = cv2.GC_PR_FGD
-    state[core & (odds > -1.0)] = cv2.GC_FGD
+    state[core & (odds > 0.3)] = cv2.GC_FGD
+    state[odds < -2.0] = cv2.GC_BGD
     rows, columns = np.where(grow(near, 3 * band))
     box = np.s_[rows.min():rows.max() + 1, columns.min():columns.max() + 1]
     cut_state = np.ascontiguousarray(state[box])

@@ -27,7 +27,7 @@ from ..prior.schedule import ALPHA_BAR, T, posterior, sigma, subsequence
 from ..progress import Bar
 from .problem import Materials, Problem, step_seed
 
-RHO_BASE = 10.0      # calibrates rho to the relative data term (problem.py) and codes of standard deviation 0.5
+RHO_BASE = 30.0      # calibrates rho to the relative data term (problem.py) and codes of standard deviation 0.5
 STEP_LIMIT = 0.5     # largest guidance step in units of the code's standard deviation, root mean square
 
 

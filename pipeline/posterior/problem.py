@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 
@@ -15,6 +16,7 @@ from ..observe import Observations
 from ..optics import Explanation, Gradient, Renderer
 
 SHADE = 0.1         # radiance (photo white = 1) below which errors count absolutely
+SMOOTH = 80         # roughness and metallic gradients are blurred by 1 / SMOOTH of the texture's side
 ALBEDO_MAX = 0.98   # a brighter base colour would never come to rest in multi-bounce light
 
 
@@ -68,7 +70,10 @@ class Materials:
 
     def step(self, gradient: Gradient) -> None:
         for n in self.names:
-            self.values[n].grad = torch.from_numpy(np.ascontiguousarray(getattr(gradient, n), np.float32))
+            slope = np.ascontiguousarray(getattr(gradient, n), np.float32)
+            if n != "base_color":                  # photos say little about their fine detail: move them as smooth fields
+                slope = cv2.GaussianBlur(slope, (0, 0), max(slope.shape[0] / SMOOTH, 0.5))
+            self.values[n].grad = torch.from_numpy(slope)
         self.optimizer.step()
         for n in self.names:
             self.values[n].clamp_(*self.bounds[n])

@@ -1,10 +1,10 @@
 """Materials at full texture size with the light's shape held, and one light scale (DPI, Eq. 17).
 
 Three blocks in turn. Roughness and metallic: Adam through the path tracer, on maps of moderate size, because photos say
-little about their fine detail. Light scale: a closed-form factor. Base colour at full size: per texel the least-squares
-factor f that makes the photos right. With G the derivative of the picture along the base colour (G = a dL/da; the
-picture is nearly linear in it), f = 1 + sum w G (y - L) / sum w G^2 over the pixels that see the texel; two independent
-halves of the paths keep noise in G from biasing it. Texels that few pixels see stay near their smoother surroundings.
+little about their fine detail. Light scale: a closed-form factor. Base colour at full size: the picture is nearly linear
+in it, L = a D + S with D the shading and S what does not scale with the base colour, so per texel
+a = (mean y - mean S) / mean D over the pixels that see the texel. Shading is smooth where colour is not: D and S are
+blurred over a few texels, which takes the path tracer's noise out and leaves the photos' detail in.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ from ..progress import Bar
 from .problem import ALBEDO_MAX, SHADE, Materials, Problem, step_seed
 
 COARSE = 256        # side of the roughness and metallic maps during the steps
-TRUST = 0.05        # sum of weighted G^2 at which a texel's own evidence weighs as much as its surroundings'
-FACTOR = (0.25, 4.0)
+SHADING_BLUR = 3.0  # texels at 1024 over which shading is averaged
 
 
-def render_pairs(problem: Problem, x: Explanation, index: np.ndarray, spp: int, rng) -> tuple[np.ndarray, np.ndarray]:
-    """L (2, n, 3) and G (2, n, 3) of the pixels `index`: two independent estimates each, `spp` paths in all."""
+def shading(problem: Problem, x: Explanation, index: np.ndarray, spp: int, rng) -> tuple[np.ndarray, np.ndarray]:
+    """Picture L (n, 3) of the pixels `index`, and its part a D (n, 3) that scales with the base colour.
+
+    a D is twice the difference to the picture with half the base colour, with the same rays and random numbers.
+    """
     half = replace(x, base_color=0.5 * x.base_color)
     rays = [problem.observations.rays(index, rng) for _ in range(spp)]
     seeds = [step_seed(rng) for _ in range(spp)]
     pictures = []
-    for maps in (x, half):                                    # same rays and seeds: their difference has little noise
+    for maps in (x, half):
         problem.renderer.set(maps)
-        paths = [problem.renderer.radiance(o, d, s) for (o, d), s in zip(rays, seeds)]
-        pictures.append(np.stack([np.mean(paths[:spp // 2], 0), np.mean(paths[spp // 2:], 0)]))
+        pictures.append(np.mean([problem.renderer.radiance(o, d, s) for (o, d), s in zip(rays, seeds)], axis=0))
     return pictures[0], 2 * (pictures[0] - pictures[1])
 
 
@@ -52,8 +53,13 @@ def splat(uv: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
     return out.reshape(size, size, -1)
 
 
-def smoothed(total: np.ndarray, sigma: float) -> np.ndarray:
-    return cv2.GaussianBlur(total, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+def gather(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Bilinear values (n, c) of a texture (t, t, c), the adjoint of `splat`."""
+    size = image.shape[0]
+    x, y = (uv[:, 0] * size - 0.5).astype(np.float32), ((1 - uv[:, 1]) * size - 0.5).astype(np.float32)
+    rows = -(-len(uv) // 16384)                                     # cv2.remap limits each side to 32767
+    x, y = (np.pad(v, (0, rows * 16384 - len(uv))).reshape(rows, 16384) for v in (x, y))
+    return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).reshape(rows * 16384, -1)[:len(uv)]
 
 
 def fill(image: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -64,27 +70,24 @@ def fill(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     return image[tuple(nearest)]
 
 
-def base_color_block(problem: Problem, x: Explanation, spp: int, chunk: int, rng) -> tuple[Explanation, float]:
-    """One least-squares update of the whole base colour map; also the loss before it."""
+def base_color_block(problem: Problem, x: Explanation, spp: int, rng, chunk: int = 1 << 18) -> tuple[Explanation, float]:
+    """One update of the whole base colour map; also the mean squared weighted residual before it."""
     obs, size = problem.observations, x.base_color.shape[0]
-    top, bottom, loss, floor = np.zeros((size, size, 3)), np.zeros((size, size, 3)), 0.0, 1e-3
-    x = replace(x, base_color=np.maximum(x.base_color, 0.02))        # a black texel has no direction to move along
-    order = np.arange(len(obs))
+    x = replace(x, base_color=np.clip(x.base_color, 0.02, ALBEDO_MAX).astype(np.float32))   # black has no direction to move
+    sums, loss = np.zeros((4, size, size, 3)), 0.0
     for k in range(0, len(obs), chunk):
-        index = order[k:k + chunk]
-        L, G = render_pairs(problem, x, index, spp, rng)
-        y = obs.rgb[index]
-        r = y - L
-        r = np.where(obs.clipped[index][None, :, None] & (r < 0), 0, r)
-        weight = 1 / (y + SHADE) ** 2
-        top += splat(obs.uv[index], weight * 0.5 * (G[0] * r[1] + G[1] * r[0]), size)
-        bottom += splat(obs.uv[index], weight * np.maximum(G[0] * G[1], floor * G.mean(0) ** 2), size)
-        loss += float((weight * r[0] * r[1]).sum())
-    spread = max(1.0, size / 256)
-    around = smoothed(top, 2 * spread) / (smoothed(bottom, 2 * spread) + 1e-6)
-    factor = 1 + (top + TRUST * around) / (bottom + TRUST)
-    known = bottom.max(-1) > 1e-3
-    color = np.clip(x.base_color * np.clip(factor, *FACTOR), 0.0, ALBEDO_MAX)
+        index = np.arange(k, min(k + chunk, len(obs)))
+        L, scaled = shading(problem, x, index, spp, rng)
+        y = np.where(obs.clipped[index][:, None], np.maximum(obs.rgb[index], L), obs.rgb[index])   # a lower bound only
+        D = scaled / gather(x.base_color, obs.uv[index])
+        for total, value in zip(sums, (y, D, L - scaled, np.ones_like(y))):
+            total += splat(obs.uv[index], value, size)
+        loss += float((((y - L) / (y + SHADE)) ** 2).sum())
+    photo, D, S, weight = sums
+    blur = lambda total: cv2.GaussianBlur(total, (0, 0), max(SHADING_BLUR * size / 1024, 0.6), borderType=cv2.BORDER_REPLICATE)
+    near, known = np.maximum(blur(weight), 1e-6), weight[..., 0] > 0.05
+    color = (photo / np.maximum(weight, 1e-6) - blur(S) / near) / np.maximum(blur(D) / near, 1e-3)
+    color = np.where(known[..., None], np.clip(color, 0.0, ALBEDO_MAX), x.base_color)
     return replace(x, base_color=fill(color, known).astype(np.float32)), loss / (3 * len(obs))
 
 
@@ -93,9 +96,10 @@ def light_scale(problem: Problem, x: Explanation, pixels: int, rng) -> float:
     obs = problem.observations
     index = rng.integers(len(obs), size=pixels)
     index = index[~obs.clipped[index]] if (~obs.clipped[index]).any() else index
-    L, _ = render_pairs(problem, x, index, 4, rng)
-    weight = 1 / (obs.rgb[index] + SHADE) ** 2
-    return float((weight * L.mean(0) * obs.rgb[index]).sum() / np.maximum((weight * L[0] * L[1]).sum(), 1e-9))
+    problem.renderer.set(x)
+    a, b = (problem.renderer.radiance(*obs.rays(index, rng), step_seed(rng)) for _ in range(2))
+    weight = 1 / (obs.rgb[index] + SHADE) ** 2                      # a and b are independent: their noise does not bias
+    return float((weight * 0.5 * (a + b) * obs.rgb[index]).sum() / np.maximum((weight * a * b).sum(), 1e-9))
 
 
 def refine(problem: Problem, small: Problem, x: Explanation, settings: Refine, seed: int) -> tuple[Explanation, dict]:
@@ -105,7 +109,7 @@ def refine(problem: Problem, small: Problem, x: Explanation, settings: Refine, s
     scale = float(np.clip(light_scale(small, coarse, 8 * settings.pixels, rng), 0.5, 2.0))
     light = (x.light * scale).astype(np.float32)
     coarse, losses = replace(coarse, light=light), []
-    coarse, before = base_color_block(small, coarse, 4, 1 << 18, rng)
+    coarse, before = base_color_block(small, coarse, 4, rng)
     materials = Materials(coarse, settings.learning_rate, small.roughness_min)
     with Bar(f"refine {seed}", max(settings.steps, 1)) as bar:
         for k in range(settings.steps):
@@ -117,7 +121,7 @@ def refine(problem: Problem, small: Problem, x: Explanation, settings: Refine, s
             bar.step(f"loss {np.mean(losses[-20:]):.4f}")
     full = resize_explanation(materials.explanation(light), settings.texture)
     for _ in range(2):
-        full, last = base_color_block(problem, full, 4, 1 << 18, rng)
+        full, last = base_color_block(problem, full, 4, rng)
     known = splat(problem.observations.uv, np.ones((len(problem.observations), 1)), settings.texture)[..., 0] > 1e-3
     full = replace(full, roughness=fill(full.roughness, known), metallic=fill(full.metallic, known))
     return full, {"light_scale": scale, "loss_before": before, "loss_last_update": last, "seen_share_of_texels": float(known.mean())}

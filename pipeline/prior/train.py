@@ -1,4 +1,4 @@
-"""Train the light prior: EDM loss (Karras et al. 2022, Eq. 8 and Table 1) with cos-latitude weights, EMA, resumable.
+"""Train the light prior: EDM loss (Karras et al. 2022, Eq. 8 and Table 1) weighted by solid angle (and 30 % evenly), EMA, resumable.
 
 python -m pipeline.prior.train --config configs/prior_small.yaml --data MAPS --catalogue CSV --minutes 60 --out RUN
 """
@@ -58,7 +58,8 @@ def train(config: dict, data: dict, out: Path, minutes: float, device: str) -> N
     """Train until the time is up; a checkpoint and a log line every two minutes."""
     torch.manual_seed(config["seed"])
     h = config["height"]
-    weights = torch.from_numpy(solid_angles(h, 2 * h) / (4 * np.pi)).float().to(device)
+    even = np.full((h, 2 * h), 1 / (2 * h * h))                       # keeps the pole rows trained: all rows are shown
+    weights = torch.from_numpy(0.7 * solid_angles(h, 2 * h) / (4 * np.pi) + 0.3 * even).float().to(device)
     normal = lambda v: torch.from_numpy((np.ascontiguousarray(v) - data["mean"]) / (2 * data["std"])).float().to(device)
     held = data["held"].astype(bool)
     test, test_labels = normal(data["real"][held]), torch.from_numpy(data["labels"][held]).to(device)

@@ -20,7 +20,7 @@ from ..mesh_io import Mesh, load_mesh, save_mesh
 from ..voxels import Grid
 from .clean import facts, simplify, to_mesh
 from .field import hull_of, projections, stacked, stereo_field
-from .preview import shaded
+from .preview import Silhouette, shaded
 from .stereo import Depth, stereo
 
 TRUNCATION = 4.0        # cells
@@ -99,6 +99,7 @@ def make_mesh(poses: Path, masks_folder: Path, scene: Path, out: Path, settings:
     rig = load_cameras(poses / "cameras.json")
     mesh = given_mesh(scene, rig)
     if mesh is not None:
+        given = True
         metrics = {"method": "given", "why": "the scene folder has a mesh"} | facts(mesh)
     else:
         masks = {v.name: read_png(masks_folder / "masks" / f"{v.name}.png") > 127 for v in rig.views}
@@ -108,7 +109,26 @@ def make_mesh(poses: Path, masks_folder: Path, scene: Path, out: Path, settings:
         metrics |= more | {"cell": grid.cell, "warnings": warnings_of(rig, masks)}
     save_mesh(out / "mesh.ply", mesh)
     write_png(out / "preview.png", shaded(mesh))
+    metrics["mask_share_without_surface"] = surface_masks(rig, masks_folder / "masks", mesh, out / "masks",
+                                                          trust_masks=metrics["method"] != "fused" or given)
     return metrics
+
+
+def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, trust_masks: bool, rim: int = 2) -> float:
+    """Write each view's final mask; returns the share of the masks' pixels that the surface does not cover.
+
+    Automatic masks may hold ground that stereo has told from the object: they are cut to the surface's silhouette,
+    widened by `rim` pixels. Given masks, and masks that alone made the surface, are kept as they are.
+    """
+    out.mkdir()
+    shadow, missed, total = Silhouette(mesh), 0, 0
+    for v in rig.views:
+        mask = read_png(masks / f"{v.name}.png") > 127
+        seen = shadow(v)
+        missed, total = missed + (mask & ~seen).sum(), total + mask.sum()
+        near = cv2.dilate(seen.astype(np.uint8), np.ones((2 * rim + 1,) * 2, np.uint8)) > 0
+        write_png(out / f"{v.name}.png", (mask if trust_masks else mask & near) * np.uint8(255))
+    return float(missed / max(total, 1))
 
 
 def warnings_of(rig: Rig, masks: dict) -> list[str]:

@@ -1,18 +1,39 @@
-"""Shaded pictures of a mesh by Open3D's ray caster."""
+"""Shaded pictures and silhouettes of a mesh by Open3D's ray caster."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..cameras import View
 from ..mesh_io import Mesh
 from ..runtime import import_open3d
 
 
-def shaded(mesh: Mesh, size: int = 320) -> np.ndarray:
-    """Four views side by side, (size, 4 size, 3) uint8."""
+def caster(mesh: Mesh):
+    """Open3D's ray-casting scene of a mesh, and the module."""
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.faces.astype(np.uint32)))
+    return scene, o3d
+
+
+class Silhouette:
+    """Which pixels of a view the mesh covers."""
+
+    def __init__(self, mesh: Mesh):
+        self.scene, self.o3d = caster(mesh)
+
+    def __call__(self, view: View) -> np.ndarray:
+        """(h, w) bool, by a ray through each pixel's centre."""
+        u, v = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
+        o, d = view.rays(np.stack([u, v], -1))
+        hit = self.scene.cast_rays(self.o3d.core.Tensor(np.concatenate([o, d], -1).astype(np.float32)))
+        return np.isfinite(hit["t_hit"].numpy())
+
+
+def shaded(mesh: Mesh, size: int = 320) -> np.ndarray:
+    """Four views side by side, (size, 4 size, 3) uint8."""
+    scene, _ = caster(mesh)
     center = 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0))
     radius = 0.5 * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
     tiles = []
