@@ -130,7 +130,7 @@ rule refine:
     # materials at full texture size, Eq. 17
     input: rules.sample.output
     output: W + "refine/{sample}/refine.json"
-    params: settings("refine", "refine", "render")
+    params: settings("refine", "refine", "render", "observe", "report")
     log: W + "logs/refine_{sample}.log"
     benchmark: W + "benchmarks/refine_{sample}.tsv"
     shell:

@@ -380,15 +380,16 @@ def render_truth(parts, env, poses, out: Path, spp: int) -> None:
 
 def write_object(parts, path: Path) -> None:
     """The still life without its table as one PLY."""
-    import trimesh
-    whole = trimesh.util.concatenate([trimesh.Trimesh(p.vertices, p.faces, process=False) for p in parts])
     import pymeshlab
+    from pipeline.mesh_io import Mesh, save_mesh, vertex_normals
+    offsets = np.cumsum([0] + [len(p.vertices) for p in parts])
     meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(pymeshlab.Mesh(whole.vertices, whole.faces))
+    meshes.add_mesh(pymeshlab.Mesh(np.concatenate([p.vertices for p in parts]),
+                                   np.concatenate([p.faces + o for p, o in zip(parts, offsets)])))
     meshes.meshing_merge_close_vertices(threshold=pymeshlab.PercentageValue(0.01))
     meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=60000)
-    mesh = meshes.current_mesh()
-    trimesh.Trimesh(mesh.vertex_matrix(), mesh.face_matrix(), process=False).export(path)
+    vertices, faces = meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
+    save_mesh(path, Mesh(vertices, faces, vertex_normals(vertices, faces)))
 
 
 def main() -> None:

@@ -56,7 +56,7 @@ class Mesh(Section):
     method: Literal["auto", "hull", "fused"] = Field("auto", description="auto: fused if the views agree, else hull")
     grid: int = Field(256, ge=48, le=512, description="cells along the longest side of the volume")
     faces: int = Field(30000, ge=200, le=500000, description="triangles after decimation")
-    stereo_scale: float = Field(0.5, gt=0.05, le=1, description="image scale for stereo matching")
+    stereo_scale: float = Field(0.75, gt=0.05, le=1, description="image scale for stereo matching")
     min_agreement: float = Field(0.25, ge=0, le=1, description="share of consistent stereo pixels below which hull alone")
 
 
@@ -115,8 +115,8 @@ class Refine(Section):
 
 
 class Report(Section):
-    relight_size: int = Field(320, ge=32, le=2048, description="width in pixels of the report's renders")
-    spp: int = Field(64, ge=1, le=4096)
+    relight_size: int = Field(320, ge=32, le=2048, description="half the width in pixels of the report's renders")
+    spp: int = Field(128, ge=1, le=4096)
 
 
 class Scene(Section):

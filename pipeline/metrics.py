@@ -10,6 +10,7 @@ import numpy as np
 from .cameras import View
 from .envmap import solid_angles
 from .images import linear_to_srgb, read_exr, read_png
+from .observe import inner_mask
 from .optics import Explanation, Renderer
 
 
@@ -36,16 +37,17 @@ def render_view(renderer: Renderer, x: Explanation, view: View, spp: int, seed: 
     return renderer.mean_radiance(view_rays(view), spp, seed).reshape(view.height, view.width, 3)
 
 
-def score_held_out(problem, x: Explanation, poses: Path, mesh: Path, spp: int, limit: int = 8) -> dict:
-    """PSNR inside the mask of each held-out view (at most `limit` of them) and their mean."""
-    scores = {}
-    for view in problem.observations.held_out[:: max(1, len(problem.observations.held_out) // limit)][:limit]:
-        factor = min(1.0, 640 / max(view.width, view.height))
-        small = view.scaled(factor)
-        photo = cv2.resize(read_exr(poses / view.image), (small.width, small.height), interpolation=cv2.INTER_AREA)
-        mask = cv2.resize((read_png(mesh / "masks" / f"{view.name}.png") > 127).astype(np.float32),
-                          (small.width, small.height), interpolation=cv2.INTER_AREA) > 0.999
-        scores[view.name] = psnr(render_view(problem.renderer, x, small, spp), photo, mask)
+def score_held_out(problem, x: Explanation, poses: Path, mesh: Path, erode: float, spp: int, limit: int = 8) -> dict:
+    """PSNR of each held-out view (at most `limit`) inside its mask less a rim of `erode` mixed pixels; and their mean."""
+    scores, held = {}, problem.observations.held_out
+    for view in held[:: max(1, len(held) // limit)][:limit]:
+        small = view.scaled(min(1.0, 640 / max(view.width, view.height)))
+        size = (small.width, small.height)
+        photo = cv2.resize(read_exr(poses / view.image), size, interpolation=cv2.INTER_AREA)
+        inner = inner_mask(read_png(mesh / "masks" / f"{view.name}.png") > 127, erode)
+        mask = cv2.resize(inner.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
+        if mask.any():
+            scores[view.name] = psnr(render_view(problem.renderer, x, small, spp), photo, mask)
     return {"held_out_psnr": float(np.mean(list(scores.values()))) if scores else None, "held_out": scores}
 
 

@@ -2,7 +2,7 @@
 
 Arrays of observations.npz, n pixels: view (n,) index into `views`; pixel (n, 2) column and row; rgb (n, 3) linear
 radiance; clipped (n,) whether a channel is saturated (then rgb is only a lower bound); uv (n, 2) texture coordinates of
-the primary hit, v up. `views` lists the views in use, `held_out` those kept for scoring.
+the primary hit, v up; cosine (n,) between its normal and the ray. `views` lists the views in use, `held_out` those kept for scoring.
 """
 
 from __future__ import annotations
@@ -42,12 +42,13 @@ class Tracer:
         self.mi = mi
         self.scene = mi.load_dict({"type": "scene", "obj": {"type": "ply", "filename": str(mesh), "flip_tex_coords": False}})
 
-    def hit(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rays (n, 3) -> uv (n, 2) with v up, and which rays hit (n,)."""
+    def hit(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rays (n, 3) -> uv (n, 2) with v up, cosine of incidence (n,), and which rays hit (n,)."""
         mi = self.mi
         ray = mi.Ray3f(mi.Point3f(np.ascontiguousarray(o.T, np.float32)), mi.Vector3f(np.ascontiguousarray(d.T, np.float32)))
         si = self.scene.ray_intersect(ray)
-        return np.array(si.uv).T.reshape(-1, 2), np.array(si.is_valid()).astype(bool)
+        cosine = np.abs((np.array(si.n).T.reshape(-1, 3) * d).sum(-1))
+        return np.array(si.uv).T.reshape(-1, 2), cosine, np.array(si.is_valid()).astype(bool)
 
 
 def make_observations(poses: Path, masks: Path, mesh: Path, out: Path, settings: Observe) -> dict:
@@ -60,17 +61,17 @@ def make_observations(poses: Path, masks: Path, mesh: Path, out: Path, settings:
     if total < 100:
         raise InputError("the masks leave fewer than 100 pixels", masks, "check masks/overlay.jpg; lower observe.erode")
     rng, tracer = np.random.default_rng(settings.seed), Tracer(mesh)
-    columns = {"view": [], "pixel": [], "rgb": [], "clipped": [], "uv": []}
+    columns = {"view": [], "pixel": [], "rgb": [], "clipped": [], "uv": [], "cosine": []}
     missed = 0
     for k, (view, all_of_it) in enumerate(zip(progress(views, "observations"), candidates)):
         count = min(len(all_of_it), round(settings.pixels * len(all_of_it) / total))
         rows, cols = all_of_it[np.sort(rng.choice(len(all_of_it), count, replace=False))].T
-        uv, hit = tracer.hit(*view.rays(np.stack([cols + 0.5, rows + 0.5], -1)))
-        rows, cols, uv, missed = rows[hit], cols[hit], uv[hit], missed + (~hit).sum()
+        uv, cosine, hit = tracer.hit(*view.rays(np.stack([cols + 0.5, rows + 0.5], -1)))
+        rows, cols, uv, cosine, missed = rows[hit], cols[hit], uv[hit], cosine[hit], missed + (~hit).sum()
         rgb = read_exr(poses / view.image)[rows, cols]
         for name, value in (("view", np.full(len(rows), k, np.uint16)), ("pixel", np.stack([cols, rows], -1).astype(np.uint16)),
                             ("rgb", rgb.astype(np.float32)), ("clipped", rgb.max(-1) >= 0.98 * view.clip_level),
-                            ("uv", uv.astype(np.float32))):
+                            ("uv", uv.astype(np.float32)), ("cosine", cosine.astype(np.float32))):
             columns[name].append(value)
     table = {name: np.concatenate(parts) for name, parts in columns.items()}
     if not len(table["view"]):
@@ -86,7 +87,7 @@ class Observations:
     def __init__(self, folder: Path, cameras: Path):
         data = np.load(Path(folder) / "observations.npz")
         self.view, self.pixel, self.rgb = data["view"].astype(int), data["pixel"], data["rgb"]
-        self.clipped, self.uv = data["clipped"], data["uv"]
+        self.clipped, self.uv, self.cosine = data["clipped"], data["uv"], data["cosine"]
         self.rig = load_cameras(cameras)
         by_name = {v.name: v for v in self.rig.views}
         self.views: list[View] = [by_name[n] for n in data["views"]]

@@ -21,7 +21,9 @@ from ..progress import Bar
 from .problem import ALBEDO_MAX, SHADE, Materials, Problem, step_seed
 
 COARSE = 256        # side of the roughness and metallic maps during the steps
-SHADING_BLUR = 3.0  # texels at 1024 over which shading is averaged
+SHADING_BLUR = 3.0      # texels at 1024 over which shading is averaged
+SOLVES = 6              # back-projections per base colour update
+CONTRADICTION = 0.25    # relative residual at which a pixel loses half its weight
 
 
 def shading(problem: Problem, x: Explanation, index: np.ndarray, spp: int, rng) -> tuple[np.ndarray, np.ndarray]:
@@ -70,25 +72,50 @@ def fill(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     return image[tuple(nearest)]
 
 
-def base_color_block(problem: Problem, x: Explanation, spp: int, rng, chunk: int = 1 << 18) -> tuple[Explanation, float]:
-    """One update of the whole base colour map; also the mean squared weighted residual before it."""
+def shading_maps(problem: Problem, x: Explanation, spp: int, rng, chunk: int = 1 << 18):
+    """D and S (t, t, 3) of `x` averaged per texel and blurred, texels seen (t, t), observed y (n, 3), and the loss.
+
+    y is the photo's value; where that is saturated, the larger of it and the prediction.
+    """
     obs, size = problem.observations, x.base_color.shape[0]
-    x = replace(x, base_color=np.clip(x.base_color, 0.02, ALBEDO_MAX).astype(np.float32))   # black has no direction to move
-    sums, loss = np.zeros((4, size, size, 3)), 0.0
+    sums, observed, loss = np.zeros((3, size, size, 3)), [], 0.0
     for k in range(0, len(obs), chunk):
         index = np.arange(k, min(k + chunk, len(obs)))
         L, scaled = shading(problem, x, index, spp, rng)
-        y = np.where(obs.clipped[index][:, None], np.maximum(obs.rgb[index], L), obs.rgb[index])   # a lower bound only
-        D = scaled / gather(x.base_color, obs.uv[index])
-        for total, value in zip(sums, (y, D, L - scaled, np.ones_like(y))):
-            total += splat(obs.uv[index], value, size)
+        y = np.where(obs.clipped[index][:, None], np.maximum(obs.rgb[index], L), obs.rgb[index])
+        weight = view_weight(obs.cosine[index])
+        for total, value in zip(sums, (scaled / gather(x.base_color, obs.uv[index]), L - scaled, np.ones_like(y))):
+            total += splat(obs.uv[index], weight * value, size)
+        observed.append(y)
         loss += float((((y - L) / (y + SHADE)) ** 2).sum())
-    photo, D, S, weight = sums
     blur = lambda total: cv2.GaussianBlur(total, (0, 0), max(SHADING_BLUR * size / 1024, 0.6), borderType=cv2.BORDER_REPLICATE)
-    near, known = np.maximum(blur(weight), 1e-6), weight[..., 0] > 0.05
-    color = (photo / np.maximum(weight, 1e-6) - blur(S) / near) / np.maximum(blur(D) / near, 1e-3)
-    color = np.where(known[..., None], np.clip(color, 0.0, ALBEDO_MAX), x.base_color)
-    return replace(x, base_color=fill(color, known).astype(np.float32)), loss / (3 * len(obs))
+    near = np.maximum(blur(sums[2]), 1e-6)
+    return np.maximum(blur(sums[0]) / near, 1e-3), blur(sums[1]) / near, sums[2][..., 0] > 0.05, np.concatenate(observed), \
+        loss / (3 * len(obs))
+
+
+def view_weight(cosine: np.ndarray) -> np.ndarray:
+    """Grazing views smear: their pixels cover many texels. (n, 1)"""
+    return cosine[:, None] ** 2
+
+
+def base_color_block(problem: Problem, x: Explanation, spp: int, rng) -> tuple[Explanation, float]:
+    """Least squares over all pixels for the whole base colour map; also the mean squared weighted residual before it.
+
+    With D and S held, y = bilinear(a D + S) is solved by back-projecting the residual, with weights that forget pixels
+    which other views contradict (Geman-McClure): occlusion edges and slightly wrong cameras.
+    """
+    obs, size = problem.observations, x.base_color.shape[0]
+    x = replace(x, base_color=np.clip(x.base_color, 0.02, ALBEDO_MAX).astype(np.float32))   # black has no direction to move
+    D, S, known, y, loss = shading_maps(problem, x, spp, rng)
+    weight, color = view_weight(obs.cosine), x.base_color.astype(np.float64)
+    for k in range(SOLVES):
+        r = y - gather((color * D + S).astype(np.float32), obs.uv)
+        relative = np.abs(r / (y + SHADE)).mean(-1, keepdims=True)
+        trust = weight / (1 + (relative / CONTRADICTION) ** 2) if k else weight
+        step = splat(obs.uv, trust * r, size) / np.maximum(splat(obs.uv, trust, size), 1e-6)
+        color = np.where(known[..., None], np.clip(color + step / D, 0.0, ALBEDO_MAX), color)
+    return replace(x, base_color=fill(color, known).astype(np.float32)), loss
 
 
 def light_scale(problem: Problem, x: Explanation, pixels: int, rng) -> float:

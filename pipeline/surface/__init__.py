@@ -114,11 +114,12 @@ def make_mesh(poses: Path, masks_folder: Path, scene: Path, out: Path, settings:
     return metrics
 
 
-def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, trust_masks: bool, rim: int = 2) -> float:
+def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, trust_masks: bool) -> float:
     """Write each view's final mask; returns the share of the masks' pixels that the surface does not cover.
 
-    Automatic masks may hold ground that stereo has told from the object: they are cut to the surface's silhouette,
-    widened by `rim` pixels. Given masks, and masks that alone made the surface, are kept as they are.
+    Automatic masks may hold ground that stereo has told from the object, or miss a part that all other views show: the
+    fused surface knows better, and its silhouette is the final mask. Given masks, and masks that alone made the
+    surface, are kept as they are.
     """
     out.mkdir()
     shadow, missed, total = Silhouette(mesh), 0, 0
@@ -126,8 +127,7 @@ def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, trust_masks: boo
         mask = read_png(masks / f"{v.name}.png") > 127
         seen = shadow(v)
         missed, total = missed + (mask & ~seen).sum(), total + mask.sum()
-        near = cv2.dilate(seen.astype(np.uint8), np.ones((2 * rim + 1,) * 2, np.uint8)) > 0
-        write_png(out / f"{v.name}.png", (mask if trust_masks else mask & near) * np.uint8(255))
+        write_png(out / f"{v.name}.png", (mask if trust_masks else seen) * np.uint8(255))
     return float(missed / max(total, 1))
 
 
