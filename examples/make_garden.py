@@ -387,7 +387,7 @@ def write_object(parts, path: Path) -> None:
     meshes.add_mesh(pymeshlab.Mesh(np.concatenate([p.vertices for p in parts]),
                                    np.concatenate([p.faces + o for p, o in zip(parts, offsets)])))
     meshes.meshing_merge_close_vertices(threshold=pymeshlab.PercentageValue(0.01))
-    meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=60000)
+    meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=60000, optimalplacement=False)
     vertices, faces = meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
     save_mesh(path, Mesh(vertices, faces, vertex_normals(vertices, faces)))
 
