@@ -181,7 +181,6 @@ def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.n
     state[near & (odds > 1.0)] = cv2.GC_PR_FGD
     state[hull & (odds > -2.0)] = cv2.GC_PR_FGD
     state[core & (odds > 0.3)] = cv2.GC_FGD
-    state[odds < -2.0] = cv2.GC_BGD
     rows, columns = np.where(grow(near, 3 * band))
     box = np.s_[rows.min():rows.max() + 1, columns.min():columns.max() + 1]
     cut_state = np.ascontiguousarray(state[box])

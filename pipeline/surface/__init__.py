@@ -33,7 +33,7 @@ def fuse(grid: Grid, hull: np.ndarray, depths: list[Depth]) -> np.ndarray:
                                         projections([d.view for d in depths], w, h), stacked([d.depth for d in depths]),
                                         stacked([d.agreeing for d in depths]), np.float32(TRUNCATION * grid.cell))
     out = np.where(weight >= 3, np.minimum(hull, behind), hull)
-    return np.where((free >= 3) & (free > weight), np.minimum(out, -0.5), out)
+    return np.where((free >= 2) & (free > 0.5 * weight), np.minimum(out, -0.5), out)
 
 
 SURFACE_METHODS = {"hull": lambda grid, hull, depths: hull, "fused": fuse}

@@ -16,6 +16,7 @@ from ..cameras import View
 from ..progress import progress
 
 MIN_AGREEING = 2
+AGREE = 0.03           # depths agree within this share of the object's radius, whatever its distance
 
 
 @dataclass
@@ -80,18 +81,18 @@ def pair_depth(a: View, b: View, image_a, image_b, center, radius) -> np.ndarray
     return np.where(d > 0, depth, 0).astype(np.float32)
 
 
-def merge_pairs(depths: list[np.ndarray], tolerance: float = 0.01) -> np.ndarray:
-    """Per pixel the median of the pairs' depths; a lone depth stays, contradicting pairs are dropped."""
+def merge_pairs(depths: list[np.ndarray], tolerance: float) -> np.ndarray:
+    """Per pixel the median of the pairs' depths; a lone depth stays, pairs further apart than `tolerance` are dropped."""
     stack = np.sort(np.where(np.stack(depths) > 0, np.stack(depths), np.inf), axis=0)
     count = np.isfinite(stack).sum(0)
     middle = np.take_along_axis(stack, np.maximum(count - 1, 0)[None] // 2, 0)[0]
     with np.errstate(invalid="ignore"):
-        near = (np.abs(stack - middle) < tolerance * middle).sum(0)
+        near = (np.abs(stack - middle) < tolerance).sum(0)
     return np.where((count > 0) & (2 * near >= count), middle, 0).astype(np.float32)
 
 
-def cross_check(depths: list[np.ndarray], views: list[View], near: list[list[int]], tolerance: float = 0.01) -> list[np.ndarray]:
-    """How many of each view's neighbours see the same surface point within `tolerance` of its depth (h, w)."""
+def cross_check(depths: list[np.ndarray], views: list[View], near: list[list[int]], tolerance: float) -> list[np.ndarray]:
+    """How many of each view's neighbours see the same surface point within `tolerance` in depth (h, w)."""
     out = []
     for k, view in enumerate(views):
         count = np.zeros(depths[k].shape, np.float32)
@@ -107,7 +108,7 @@ def cross_check(depths: list[np.ndarray], views: list[View], near: list[list[int
                 ok = (depth > 0) & (u >= 0) & (v >= 0) & (u < views[j].width) & (v < views[j].height)
                 other = np.zeros(len(points), np.float32)
                 other[ok] = depths[j][v[ok], u[ok]]
-                count[rows, columns] += (other > 0) & (np.abs(other - depth) < tolerance * depth)
+                count[rows, columns] += (other > 0) & (np.abs(other - depth) < tolerance)
         out.append(count)
     return out
 
@@ -122,10 +123,10 @@ def stereo(views: list[View], images: list[np.ndarray], masks: list[np.ndarray],
 
     def one(k: int) -> np.ndarray:
         pairs = [pair_depth(views[k], views[j], images[k], images[j], center, radius) for j in partners[k]]
-        return np.where(masks[k], merge_pairs(pairs), 0) if pairs else np.zeros(masks[k].shape, np.float32)
+        return np.where(masks[k], merge_pairs(pairs, AGREE * radius), 0) if pairs else np.zeros(masks[k].shape, np.float32)
     with ThreadPoolExecutor(threads) as pool:
         depths = list(progress(pool.map(one, range(len(views))), "stereo", len(views)))
-    agreeing = cross_check(depths, views, neighbours(views, center, 8))
+    agreeing = cross_check(depths, views, neighbours(views, center, 8), AGREE * radius)
     out, known, total = [], 0, 0
     for view, depth, count, mask in zip(views, depths, agreeing, masks):
         good = (count >= MIN_AGREEING) & (depth > 0)
