@@ -1,4 +1,5 @@
 """Heliograph: photos in, relightable USD out. `snakemake --cores 2 exports/garden.usda [--config preset=draft]`"""
+import sys
 from pathlib import Path
 
 from pipeline.errors import InputError
@@ -8,7 +9,7 @@ scenes = Scenes(config)
 SET = " ".join(f"--set {s!r}" for s in scenes.settings)
 W = "work/{scene}/"
 FOLDERS = "--observe work/{wildcards.scene}/observe --poses work/{wildcards.scene}/poses --atlas work/{wildcards.scene}/atlas "
-LIBRARY = "OMP_NUM_THREADS={threads} python -m stages."
+LIBRARY = f"OMP_NUM_THREADS={{threads}} {sys.executable!r} -m stages."
 
 if workflow.is_main_process and not workflow.dryrun:
     LOCK = only_one_run(Path("work/.running"))

@@ -6,3 +6,7 @@ envmap | optics | observe | prior | posterior | metrics | usd | report.
 """
 
 __version__ = "0.1.0"
+
+from . import runtime
+
+runtime.point_at_llvm()          # before anything imports drjit: the system's LLVM may be one that aborts

@@ -75,18 +75,37 @@ def sh_coefficients(env: np.ndarray, order: int = 2) -> np.ndarray:
     return np.stack([(env * (b * weights)[..., None]).sum((0, 1)) for b in basis[:(order + 1) ** 2]])
 
 
+def _twice_the_rows(env: np.ndarray) -> np.ndarray:
+    """(h, w, 3) -> (2h + 1, w, 3): rows at v = r / 2h, odd ones the pixel centres, even ones halfway between."""
+    out = np.empty((2 * len(env) + 1,) + env.shape[1:], env.dtype)
+    out[1::2] = env
+    out[2:-1:2] = 0.5 * (env[:-1] + env[1:])
+    out[0], out[-1] = env[0], env[-1]
+    return out
+
+
 def to_mitsuba(env: np.ndarray) -> np.ndarray:
-    """(h, w, 3) -> (h, w + 2, 3): Mitsuba 3.9 stores one column of the other side at both ends.
+    """(h, w, 3) -> (2h + 1, w + 2, 3), the tensor `data` of Mitsuba 3.9's `envmap` that looks the same.
 
-    Mitsuba refreshes the two border columns itself on `params.update()` and folds their gradient into the interior,
-    so `from_mitsuba` of the gradient is the gradient with respect to `env`.
+    Mitsuba puts its first and last row at the poles, not half a pixel away from them as lat-long files do, hence the
+    doubled rows; and it stores one column of the other side at both ends.
     """
-    return np.concatenate([env[:, -1:], env, env[:, :1]], 1)
+    rows = _twice_the_rows(env)
+    return np.concatenate([rows[:, -1:], rows, rows[:, :1]], 1)
 
 
-def from_mitsuba(data: np.ndarray) -> np.ndarray:
-    """Undo `to_mitsuba`."""
-    return data[:, 1:-1]
+def mitsuba_gradient(gradient: np.ndarray) -> np.ndarray:
+    """Adjoint of `to_mitsuba`: gradient in `data` (2h + 1, w + 2, 3) -> gradient in the map (h, w, 3).
+
+    Mitsuba refreshes the border columns itself and folds their gradient into the interior.
+    """
+    g = gradient[:, 1:-1]
+    out = g[1::2].copy()
+    out[:-1] += 0.5 * g[2:-1:2]
+    out[1:] += 0.5 * g[2:-1:2]
+    out[0] += g[0]
+    out[-1] += g[-1]
+    return out
 
 
 def check_lat_long(env: np.ndarray, where) -> np.ndarray:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .envmap import from_mitsuba, to_mitsuba
+from .envmap import mitsuba_gradient, to_mitsuba
 from .errors import InputError
 from .images import read_exr, write_exr
 from .runtime import mitsuba as mi
@@ -66,7 +66,7 @@ class Renderer:
                                   "data": mi.TensorXf(np.full((texture, texture, channels), 0.5, np.float32))}
         self.scene = mi.load_dict({
             "type": "scene",
-            "light": {"type": "envmap", "bitmap": mi.Bitmap(np.ones((light_height, 2 * light_height, 3), np.float32))},
+            "light": {"type": "envmap", "bitmap": mi.Bitmap(np.ones((2 * light_height + 1, 2 * light_height, 3), np.float32))},
             "obj": {"type": "ply", "filename": str(mesh), "flip_tex_coords": True, "bsdf": {"type": "twosided", "b": {
                 "type": "principled", "specular": 0.5, "base_color": blank(3), "roughness": blank(1), "metallic": blank(1)}}}})
         self.params = mi.traverse(self.scene)
@@ -132,7 +132,7 @@ class Renderer:
                                       np.broadcast_to(grad_a / spp, (spp // 2, pixels, 3))]).reshape(-1, 3)
             self._trace(dr.ADMode.Backward, o, d, seed, mi.Color3f(np.ascontiguousarray(adjoint.T, np.float32)), state)
         g = {name: np.nan_to_num(np.array(dr.grad(leaf)), nan=0.0, posinf=0.0, neginf=0.0) for name, leaf in leaves.items()}
-        return Gradient(from_mitsuba(g["light"]), g["base_color"], g["roughness"][..., 0], g["metallic"][..., 0],
+        return Gradient(mitsuba_gradient(g["light"]), g["base_color"], g["roughness"][..., 0], g["metallic"][..., 0],
                         0.5 * (loss_a + loss_b))
 
 

@@ -27,13 +27,20 @@ def llvm_path() -> Path | None:
     return found[0] if found else None
 
 
-def _load_mitsuba():
+def point_at_llvm() -> Path | None:
+    """Set DRJIT_LIBLLVM_PATH if the user has not; Dr.Jit reads it when it is first imported."""
     path = llvm_path()
+    if path is not None and path.exists():
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(path)
+    return path
+
+
+def _load_mitsuba():
+    path = point_at_llvm()
     if path is None or not path.exists():
         raise InputError("no LLVM library for Dr.Jit", path or Path(sys.prefix, "lib"),
                          "run 'pip install -r requirements.lock' in this environment, or point "
                          "DRJIT_LIBLLVM_PATH at a libLLVM.so of version 19 or newer")
-    os.environ["DRJIT_LIBLLVM_PATH"] = str(path)
     module = importlib.import_module("mitsuba")
     module.set_variant(VARIANT)
     module.set_log_level(module.LogLevel.Error)
