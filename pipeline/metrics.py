@@ -21,20 +21,26 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
     return float(-10 * np.log10(max(error.mean(), 1e-10)))
 
 
-def view_rays(view: View):
-    """rays(rng) -> o, d (h w, 3): one random point in every pixel, row by row."""
-    rows, columns = np.mgrid[0:view.height, 0:view.width].reshape(2, -1)
-
+def view_rays(view: View, pixels: np.ndarray):
+    """rays(rng) -> o, d (n, 3): one random point in each of `pixels` (n, 2), columns and rows."""
     def rays(rng):
-        o, d = view.rays(np.stack([columns, rows], -1) + rng.random((len(rows), 2)))
+        o, d = view.rays(pixels + rng.random(pixels.shape))
         return np.ascontiguousarray(o, np.float32), d.astype(np.float32)
     return rays
 
 
 def render_view(renderer: Renderer, x: Explanation, view: View, spp: int, seed: int = 0) -> np.ndarray:
     """Picture (h, w, 3) of the object on black."""
+    return render_pixels(renderer, x, view, np.ones((view.height, view.width), bool), spp, seed)
+
+
+def render_pixels(renderer: Renderer, x: Explanation, view: View, mask: np.ndarray, spp: int, seed: int = 0) -> np.ndarray:
+    """As `render_view`, tracing only the pixels of `mask` (h, w); the others are black."""
+    rows, columns = np.nonzero(mask)
+    out = np.zeros(mask.shape + (3,), np.float32)
     renderer.set(x)
-    return renderer.mean_radiance(view_rays(view), spp, seed).reshape(view.height, view.width, 3)
+    out[rows, columns] = renderer.mean_radiance(view_rays(view, np.stack([columns, rows], -1)), spp, seed)
+    return out
 
 
 def score_held_out(problem, x: Explanation, poses: Path, mesh: Path, erode: float, spp: int, limit: int = 8) -> dict:
@@ -47,7 +53,7 @@ def score_held_out(problem, x: Explanation, poses: Path, mesh: Path, erode: floa
         inner = inner_mask(read_png(mesh / "masks" / f"{view.name}.png") > 127, erode)
         mask = cv2.resize(inner.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
         if mask.any():
-            scores[view.name] = psnr(render_view(problem.renderer, x, small, spp), photo, mask)
+            scores[view.name] = psnr(render_pixels(problem.renderer, x, small, mask, spp), photo, mask)
     return {"held_out_psnr": float(np.mean(list(scores.values()))) if scores else None, "held_out": scores}
 
 

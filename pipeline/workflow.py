@@ -60,7 +60,7 @@ class Scenes:
 
     def __call__(self, name: str) -> Scene:
         if name not in self.loaded:
-            self.loaded[name] = load_scene(ROOT / "configs" / f"{name}.yaml", overrides(self.settings))
+            self.loaded[name] = load_scene(Path("configs") / f"{name}.yaml", overrides(self.settings))
         return self.loaded[name]
 
     def slice(self, name: str, *sections: str) -> str:

@@ -18,7 +18,7 @@ def work(s):
         small = load_problem(*folders, s.scene, min(COARSE, settings.texture), rows)
         refined, facts = refine(problem, small, sample, settings, s.args.index)
         refined.save(out)
-        scores = score_held_out(problem, refined, s.args.poses, s.args.mesh, s.scene.observe.erode, s.scene.report.spp)
+        scores = score_held_out(problem, refined, s.args.poses, s.args.mesh, s.scene.observe.erode, 2 * s.scene.report.spp)
         report_metrics(out / "refine.json", {"index": s.args.index} | facts | scores | s.costs())
 
 

@@ -147,8 +147,8 @@ def refine(problem: Problem, small: Problem, x: Explanation, settings: Refine, s
             losses.append(g.loss)
             bar.step(f"loss {np.mean(losses[-20:]):.4f}")
     full = resize_explanation(materials.explanation(light), settings.texture)
-    for _ in range(2):
-        full, last = base_color_block(problem, full, 4, rng)
+    for spp in (4, 8):
+        full, last = base_color_block(problem, full, spp, rng)
     known = splat(problem.observations.uv, np.ones((len(problem.observations), 1)), settings.texture)[..., 0] > 1e-3
     full = replace(full, roughness=fill(full.roughness, known), metallic=fill(full.metallic, known))
     return full, {"light_scale": scale, "loss_before": before, "loss_last_update": last, "seen_share_of_texels": float(known.mean())}

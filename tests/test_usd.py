@@ -1,0 +1,84 @@
+import shutil
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdShade
+
+from pipeline.errors import InputError
+from pipeline.images import read_exr
+from pipeline.usd import check, export
+from tests.test_optics import explanation
+
+
+@pytest.fixture
+def exported(tmp_path, ball):
+    samples = []
+    for k in range(3):
+        folder = tmp_path / "refine" / str(k)
+        explanation(16, 8, seed=k).save(folder)
+        samples.append(folder)
+    out = tmp_path / "exports" / "mein garten é.usda"
+    out.parent.mkdir()
+    (out.parent / "users.txt").write_text("mine")
+    return export(ball, samples, out, {"preset": "draft", "seed": 0}), out, samples
+
+
+def files_of(stage):
+    root = stage.GetDefaultPrim()
+    light = root.GetChild("Light").GetAttribute("inputs:texture:file").Get().path
+    maps = [UsdShade.Shader(p).GetInput("file").Get().path for p in stage.Traverse() if UsdShade.Shader(p)
+            and UsdShade.Shader(p).GetIdAttr().Get() == "UsdUVTexture"]
+    return [light] + maps
+
+
+def test_validators_are_silent_and_users_files_untouched(exported):
+    metrics, out, _ = exported
+    assert metrics["problems"] == [] and check(out) == [] and (out.parent / "users.txt").read_text() == "mine"
+
+
+def test_variants_switch_light_and_every_map(exported):
+    _, out, _ = exported
+    stage = Usd.Stage.Open(str(out))
+    variants = stage.GetDefaultPrim().GetVariantSet("sample")
+    assert variants.GetVariantNames() == ["sample_0", "sample_1", "sample_2"]
+    for k in range(3):
+        variants.SetVariantSelection(f"sample_{k}")
+        assert len(files_of(stage)) == 4 and all(f"/sample_{k}/" in f for f in files_of(stage))
+
+
+def test_exports_open_elsewhere(exported, tmp_path):
+    _, out, _ = exported
+    shutil.copytree(out.parent, tmp_path / "else where")
+    shutil.rmtree(out.parent)
+    moved = tmp_path / "else where" / out.name
+    assert check(moved) == [] and all(f.startswith("./") for f in files_of(Usd.Stage.Open(str(moved))))
+    assert check(moved.with_suffix("") / "sample_1.usda") == []
+
+
+def test_light_stays_float(exported):
+    """The third defect of the published code: its light passes through 8-bit PNG."""
+    _, out, samples = exported
+    assert (read_exr(out.with_suffix("") / "sample_2" / "light.exr") == read_exr(samples[2] / "light.exr")).all()
+
+
+def test_check_finds_what_is_wrong(exported):
+    _, out, _ = exported
+    (out.with_suffix("") / "sample_1" / "light.exr").unlink()
+    assert any("sample_1" in p for p in check(out))
+    stage = Usd.Stage.Open(str(out.with_suffix("") / "sample_0.usda"))
+    stage.GetDefaultPrim().GetChild("Light").GetAttribute("inputs:texture:file").Set("/somewhere/else.exr")
+    stage.GetDefaultPrim().GetChild("Object").GetAttribute("faceVertexCounts").Set([3])
+    stage.GetRootLayer().Save()
+    problems = " ".join(check(out.with_suffix("") / "sample_0.usda"))
+    assert "absolute path" in problems and len(problems) > 60
+    (out.parent / "broken.usda").write_text("nonsense")
+    with pytest.raises(InputError, match="not a readable USD"):
+        check(out.parent / "broken.usda")
+
+
+def test_base_colour_is_stored_as_srgb(exported):
+    from PIL import Image
+    from pipeline.images import srgb_to_linear
+    _, out, samples = exported
+    stored = np.asarray(Image.open(out.with_suffix("") / "sample_0" / "base_color.png")) / 255
+    assert np.allclose(srgb_to_linear(stored), read_exr(samples[0] / "base_color.exr"), atol=0.01)
