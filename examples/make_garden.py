@@ -331,17 +331,20 @@ def exif() -> Image.Exif:
     return tags
 
 
-def render_photos(parts, env, poses, out: Path, spp: int, seed: int) -> float:
-    """Write images/garden_###.jpg; returns the exposure factor that was put into the light."""
+def find_exposure(scene, poses) -> float:
+    """Expose like a photographer: 1.5 % of the scene near clipping. The factor belongs to the light and the photos."""
     integrator = mi.load_dict({"type": "path", "max_depth": 4})
-    scene = build_scene(parts, env)
     probe = [np.array(mi.render(scene, sensor=sensor(m, 192, 128), integrator=integrator, spp=32)) for m in poses[::9]]
-    exposure = float(0.88 / np.percentile(np.stack(probe).max(-1), 98.5))
+    return float(0.88 / np.percentile(np.stack(probe).max(-1), 98.5))
+
+
+def render_photos(scene, poses, exposure: float, out: Path, spp: int, seed: int) -> None:
+    """Write images/garden_###.jpg."""
+    integrator = mi.load_dict({"type": "path", "max_depth": 4})
     rng = np.random.default_rng(seed)
     for k, m in enumerate(progress(poses, "photos")):
         linear = np.array(mi.render(scene, sensor=sensor(m), integrator=integrator, spp=spp, seed=seed + k)) * exposure
         photograph(linear, rng).save(out / "images" / f"garden_{k:03d}.jpg", quality=87, exif=exif())
-    return exposure
 
 
 def lookup(part: Part, name: str, uv: np.ndarray) -> np.ndarray:
@@ -350,32 +353,46 @@ def lookup(part: Part, name: str, uv: np.ndarray) -> np.ndarray:
     return image[np.clip(((1 - uv[:, 1]) * h).astype(int), 0, h - 1), np.clip((uv[:, 0] * w).astype(int), 0, w - 1)]
 
 
+def trace_object(objects, everything, view, seed=0):
+    """One sample per pixel: AOVs of the object alone, and where nothing else (the table) stands before it."""
+    aov = mi.load_dict({"type": "aov", "aovs": "shape:shape_index,uv:uv,depth:depth"})
+    hit = np.array(mi.render(everything, sensor=view, integrator=aov, spp=1, seed=seed))
+    alone = np.array(mi.render(objects, sensor=view, integrator=aov, spp=1, seed=seed))
+    return alone, (alone[..., -1] > 0) & (np.abs(alone[..., -1] - hit[..., -1]) < 1e-3)
+
+
+def material_maps(parts, objects, everything, view, seen, passes=16) -> dict[str, np.ndarray]:
+    """What the visible surface is made of: the mean over `passes` samples in each pixel of `seen`, zero elsewhere."""
+    total = {"base_color": np.zeros(seen.shape + (3,)), "roughness": np.zeros(seen.shape + (1,)),
+             "metallic": np.zeros(seen.shape + (1,))}
+    count = np.zeros(seen.shape + (1,))
+    for seed in range(passes):                                      # seed 0 is the sample that made `seen`: count > 0 there
+        alone, visible = trace_object(objects, everything, view, seed)
+        for index, part in enumerate(parts, start=1):              # shape_index counts from 1; 0 = nothing hit
+            here = visible & (np.round(alone[..., 0]).astype(int) == index)
+            uv = np.stack([alone[here][:, 1], 1 - alone[here][:, 2]], 1)
+            for name in total:
+                total[name][here] += lookup(part, name, uv)
+            count[here] += 1
+    if not (count[seen] > 0).all():
+        raise RuntimeError("a pixel shows the object but none of its parts: shape indices do not match the parts")
+    return {k: np.where(seen[..., None], v / np.maximum(count, 1), 0).squeeze().astype(np.float32) for k, v in total.items()}
+
+
 def render_truth(parts, env, poses, out: Path, spp: int) -> None:
     """Masks of every fourth view; maps at half size for four views, and the same views under another light."""
-    objects = build_scene(parts[:3], None)
-    everything = build_scene(parts, None)
-    aov = mi.load_dict({"type": "aov", "aovs": "shape:shape_index,uv:uv,depth:depth"})
-    full = build_scene(parts, env)
+    objects, everything, full = build_scene(parts[:3], None), build_scene(parts, None), build_scene(parts, env)
+    integrator = mi.load_dict({"type": "path", "max_depth": 4})
     for k in progress(range(0, len(poses), 4), "masks"):
-        hit = np.array(mi.render(everything, sensor=sensor(poses[k]), integrator=aov, spp=1))
-        alone = np.array(mi.render(objects, sensor=sensor(poses[k]), integrator=aov, spp=1))
-        mask = (alone[..., -1] > 0) & (np.abs(alone[..., -1] - hit[..., -1]) < 1e-3)
+        _, mask = trace_object(objects, everything, sensor(poses[k]))
         Image.fromarray(mask).save(out / "truth" / "masks" / f"garden_{k:03d}.png", optimize=True)
-    for k in range(1, len(poses), len(poses) // 4):
-        view = sensor(poses[k], WIDTH // 2, HEIGHT // 2)
-        hit = np.array(mi.render(everything, sensor=view, integrator=aov, spp=1))
-        alone = np.array(mi.render(objects, sensor=view, integrator=aov, spp=1))
-        seen = (alone[..., -1] > 0) & (np.abs(alone[..., -1] - hit[..., -1]) < 1e-3)
-        for name in ("base_color", "roughness", "metallic"):
-            image = np.zeros(seen.shape + ((3,) if name == "base_color" else ()), np.float32)
-            for index, part in enumerate(parts[:3]):
-                here = seen & (np.round(alone[..., 0]).astype(int) == index)
-                uv = np.stack([alone[here][:, 1], 1 - alone[here][:, 2]], 1)
-                image[here] = lookup(part, name, uv).squeeze(-1) if name != "base_color" else lookup(part, name, uv)
-            write_exr(out / "truth" / {"base_color": "albedo"}.get(name, name) / f"garden_{k:03d}.exr", image, half=True)
-        integrator = mi.load_dict({"type": "path", "max_depth": 4})
+    for k in progress(range(1, len(poses), max(len(poses) // 4, 1)), "maps and relit views"):
+        view, name = sensor(poses[k], WIDTH // 2, HEIGHT // 2), f"garden_{k:03d}.exr"
+        _, seen = trace_object(objects, everything, view)
+        for key, image in material_maps(parts[:3], objects, everything, view, seen).items():
+            write_exr(out / "truth" / {"base_color": "albedo"}.get(key, key) / name, image, half=True)
         linear = np.array(mi.render(full, sensor=view, integrator=integrator, spp=spp))
-        write_exr(out / "truth" / "relight" / "evening" / f"garden_{k:03d}.exr", linear * seen[..., None], half=True)
+        write_exr(out / "truth" / "relight" / "evening" / name, linear * seen[..., None], half=True)
 
 
 def write_object(parts, path: Path) -> None:
@@ -392,28 +409,50 @@ def write_object(parts, path: Path) -> None:
     save_mesh(path, Mesh(vertices, faces, vertex_normals(vertices, faces)))
 
 
-def main() -> None:
+def write_facts(parts, poses, exposure: float, out: Path) -> None:
+    """transforms_truth.json (cameras) and facts.json (units and what the other files of truth/ hold)."""
+    frames = [{"file_path": f"images/garden_{k:03d}.jpg", "transform_matrix": m.tolist()} for k, m in enumerate(poses)]
+    cameras_json = {"frame": "Y-up, metres, camera-to-world with OpenGL axes", "fl_x": FOCAL_35 / 36 * WIDTH, "w": WIDTH,
+                    "h": HEIGHT, "object_size": 0.35, "frames": frames}
+    (out / "truth" / "transforms_truth.json").write_text(json.dumps(cameras_json, indent=1) + "\n")
+    points = np.concatenate([p.vertices for p in parts])
+    facts = {"units": "metres", "up": "+Y, table top at y = 0",
+             "object_bounds": [points.min(0).round(4).tolist(), points.max(0).round(4).tolist()],
+             "exposure": exposure, "focal_35mm": FOCAL_35, "fx_px": FOCAL_35 / 36 * WIDTH,
+             "envmap": "sky and sun times exposure; table, lawn and hedge are geometry and not part of it",
+             "maps": "linear, mean over the pixel, 0 where the object is not visible; principled BSDF, specular 0.5",
+             "relight": "whole scene (with table, lawn and hedge) under relight/evening.exr, object pixels only"}
+    (out / "truth" / "facts.json").write_text(json.dumps(facts, indent=1) + "\n")
+
+
+def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("examples/garden"))
     parser.add_argument("--spp", type=int, default=32)
-    parser.add_argument("--views", type=int, default=0, help="only the first K photos, for a quick look")
+    parser.add_argument("--views", type=int, default=0, help="only this many photos, spread over the rings, for a quick look")
+    parser.add_argument("--truth-only", action="store_true", help="leave images/ as it is, make truth/ anew")
     parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> None:
+    args = arguments()
     for name in ("images", "truth/masks", "truth/albedo", "truth/roughness", "truth/metallic", "truth/relight/evening"):
         (args.out / name).mkdir(parents=True, exist_ok=True)
     parts, poses = build_parts(args.seed), cameras(args.seed)
-    poses = poses[::max(len(poses) // args.views, 1)] if args.views else poses
+    if args.views:
+        poses = [poses[k] for k in np.unique(np.linspace(0, len(poses) - 1, args.views).round().astype(int))]
     env = sky(np.random.default_rng(args.seed + 1))
-    exposure = render_photos(parts, env, poses, args.out, args.spp, args.seed)
+    scene = build_scene(parts, env)
+    exposure = find_exposure(scene, poses)
+    if not args.truth_only:
+        render_photos(scene, poses, exposure, args.out, args.spp, args.seed)
     write_exr(args.out / "truth" / "envmap.exr", env * exposure, half=True)
     evening = sky(np.random.default_rng(args.seed + 2), 128, 14.0, 250.0, 0.5, (1.0, 0.6, 0.3)) * exposure
     write_exr(args.out / "truth" / "relight" / "evening.exr", evening, half=True)
     render_truth(parts, evening, poses, args.out, 2 * args.spp)
     write_object(parts[:3], args.out / "truth" / "mesh.ply")
-    facts = {"frame": "Y-up, metres, camera-to-world with OpenGL axes", "fl_x": FOCAL_35 / 36 * WIDTH, "w": WIDTH, "h": HEIGHT,
-             "object_size": 0.35, "frames": [{"file_path": f"images/garden_{k:03d}.jpg", "transform_matrix": m.tolist()}
-                                             for k, m in enumerate(poses)]}
-    (args.out / "truth" / "transforms_truth.json").write_text(json.dumps(facts, indent=1) + "\n")
+    write_facts(parts[:3], poses, exposure, args.out)
 
 
 if __name__ == "__main__":

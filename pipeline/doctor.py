@@ -8,7 +8,6 @@ import sys
 from importlib import metadata
 
 from . import __version__, runtime
-from .errors import InputError
 
 STACK = ("mitsuba", "drjit", "torch", "pycolmap", "opencv-python-headless", "open3d", "pymeshlab", "xatlas", "usd-core", "OpenEXR",
          "snakemake", "numpy", "scipy", "scikit-image", "numba", "safetensors", "karellen-llvm-core")
@@ -47,8 +46,13 @@ def attempt(work, cure: str) -> tuple[bool, str]:
     """Run a check whose failure must be reported, whatever it is."""
     try:
         return True, work()
-    except (InputError, ImportError, OSError, RuntimeError, ValueError) as error:
-        return False, f"{error}\n     what to do: {cure}"
+    except Exception as error:                               # not hidden: it is what the doctor prints
+        return False, f"{type(error).__name__}: {error}\n     what to do: {cure}"
+
+
+def cameras() -> str:
+    import pycolmap
+    return f"pycolmap imports: {pycolmap.__version__}"
 
 
 def memory() -> str:
@@ -77,6 +81,7 @@ def doctor() -> bool:
     findings = [(sys.version_info >= (3, 11), f"heliograph {__version__}, Python {sys.version.split()[0]}")] + versions()
     findings += [attempt(render, "pip install -r requirements.lock, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version 19 or newer"),
                  attempt(lambda: f"open3d imports: {runtime.import_open3d().__version__}", "pip install libusb-package"),
+                 attempt(cameras, "pip install -r requirements.lock"),
                  attempt(weights, "check out weights/ again"), attempt(memory, "use another machine or the draft preset"),
                  attempt(writable, "cd into the project; chmod u+w exports")]
     for good, text in findings:

@@ -11,10 +11,12 @@ from tests.test_surface import silhouettes
 
 @pytest.fixture
 def table(tmp_path, ring):
-    """A red-brown ball on a table with grey noise; truth masks."""
+    """A ball with painted cubes of colour on a table with grey noise; truth masks."""
     rng = np.random.default_rng(0)
-    noise = rng.uniform(0.1, 0.9, (64, 64))
-    views = [v for v in ring(24, 160, 3.0, 40) if v.position[1] > 0]
+    noise = rng.uniform(0.25, 0.75, (64, 64))
+    views = [v for e in (28, 60) for v in ring(20, 200, 3.0, e) if v.position[1] > 0]
+    for k, v in enumerate(views):
+        v.name, v.image = f"p{k}", f"images/p{k}.exr"
     truth = silhouettes(views, 0.45)
     for v in views:
         u, w = np.meshgrid(np.arange(v.width) + 0.5, np.arange(v.height) + 0.5)
@@ -22,7 +24,10 @@ def table(tmp_path, ring):
         t = (-0.45 - o[..., 1]) / np.minimum(d[..., 1], -1e-3)
         p = o + t[..., None] * d
         shade = noise[(p[..., 0] * 8).astype(int) % 64, (p[..., 2] * 8).astype(int) % 64]
-        image = np.where(truth[v.name][..., None], [0.5, 0.12, 0.05], np.repeat(shade[..., None], 3, -1))
+        b = (o * d).sum(-1)
+        q = o + (-b - np.sqrt(np.maximum(b**2 - (o**2).sum(-1) + 0.45**2, 0)))[..., None] * d
+        paint = np.array([[0.5, 0.12, 0.05], [0.05, 0.1, 0.5], [0.1, 0.4, 0.05]])[np.floor(q * 5).astype(int).sum(-1) % 3]
+        image = np.where(truth[v.name][..., None], paint, np.repeat(shade[..., None], 3, -1))
         write_exr(tmp_path / v.image, image)
     rig = Rig(views, np.array([0, 0, 0.0]), 0.6, "sfm", {"plane": {"normal": [0, 1, 0], "offset": -0.45}})
     save_cameras(tmp_path / "cameras.json", rig)
@@ -34,9 +39,13 @@ def test_object_is_told_from_its_table(table, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     assert make_masks(folder, out, Masks(), 2)["method"] == "plane"
+    recall, overlap = [], []
     for v in rig.views:
         mask = read_png(out / "masks" / f"{v.name}.png") > 127
-        assert (mask & truth[v.name]).sum() / (mask | truth[v.name]).sum() > 0.9, v.name
+        recall.append((mask & truth[v.name]).sum() / truth[v.name].sum())
+        overlap.append((mask & truth[v.name]).sum() / (mask | truth[v.name]).sum())
+    assert min(recall) > 0.97                  # nothing of the object is lost; ground at its foot, seen bare by no view,
+    assert np.mean(overlap) > 0.8              # may stay: stereo takes it off later (pipeline.surface.surface_masks)
 
 
 def test_given_masks_win_and_missing_ones_are_named(table, tmp_path):

@@ -93,8 +93,8 @@ def test_fusing_a_nearer_surface_carves_the_hull(sphere):
         o, d = v.rays(np.stack([u, w], -1))
         b = (o * d).sum(-1)
         root = b**2 - ((o**2).sum(-1) - 0.35**2)
-        depth = np.where(root > 0, -b - np.sqrt(np.maximum(root, 0)), 0) * (d @ v.world_to_camera[2, :3])
-        depths.append(Depth(v, depth.astype(np.float32), (depth > 0).astype(np.float32) * 3))
+        depth = np.where(root > 0, -b - np.sqrt(np.maximum(root, 0)), 9.0) * (d @ v.world_to_camera[2, :3])   # 9: far ground
+        depths.append(Depth(v, depth.astype(np.float32), np.full(depth.shape, 3, np.float32)))
     mesh = to_mesh(largest_solid(fuse(grid, hull, depths)), grid)
     assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - 0.35) < 0.03
 

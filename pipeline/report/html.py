@@ -16,7 +16,7 @@ main{max-width:1180px;margin:0 auto;padding:24px 16px 64px}h1{font-size:1.7rem;m
 p,li{max-width:75ch}.soft,figcaption,td.soft{color:var(--soft)}img{width:100%;height:auto;display:block;border-radius:6px;background:#000}
 .facts{display:flex;flex-wrap:wrap;gap:10px;padding:0;list-style:none}.facts li{background:var(--card);border:1px solid var(--line);border-radius:8px;padding:8px 14px}
 .facts b{display:block;font-size:1.15rem}.grid{display:grid;gap:14px;grid-template-columns:repeat(auto-fit,minmax(230px,1fr))}
-figure{margin:0}figcaption{font-size:.86rem;padding:4px 2px}section.sample{background:var(--card);border:1px solid var(--line);border-radius:10px;padding:14px;margin:14px 0}
+figure{margin:0}.photo{max-width:460px}figcaption{font-size:.86rem;padding:4px 2px}section.sample{background:var(--card);border:1px solid var(--line);border-radius:10px;padding:14px;margin:14px 0}
 section.sample h3{margin:0 0 10px}fieldset{border:0;padding:0;margin:0 0 10px;display:flex;flex-wrap:wrap;gap:8px}legend{float:left;margin-right:8px}
 label{cursor:pointer;border:1px solid var(--line);border-radius:16px;padding:2px 14px;background:var(--card)}label:has(:checked){border-color:var(--accent);color:var(--accent)}
 label:has(:focus-visible){outline:2px solid var(--accent)}input[type=radio]{position:absolute;opacity:0}
@@ -86,7 +86,7 @@ materials that together reproduce them. Where samples agree, the photos decide; 
 <h2>Samples</h2>
 <fieldset><legend class=soft>Exposure of the lights</legend><label><input type=radio name=e id=e0>dark</label>
 <label><input type=radio name=e id=e1 checked>middle</label><label><input type=radio name=e id=e2>bright</label></fieldset>
-<div class=grid>{image(pictures["photo"], f"photo {view} ({kind})")}</div>
+{image(pictures["photo"], f"photo {view} ({kind})", " class=photo")}
 {"".join(sample_section(k, s, usd) for k, s in enumerate(samples))}
 <h2>What is certain, what is not</h2><p class=soft>Dark: the samples agree. Bright: the photos allow different answers. A common factor between
 light and base colour is never visible in photos of matt things; it is fixed by convention (see the asset's customData).

@@ -1,12 +1,14 @@
 """Write exports/<scene>.usda and exports/<scene>/: Y-up, metres, UsdPreviewSurface, DomeLight, relative paths only.
 
 The dome's EXR carries the absolute scale (intensity 1, exposure 0, white) because Blender's importer ignores
-`inputs:exposure`; a Y-up stage needs no rotation on the light (frames: docs/frames.md).
+`inputs:exposure`; a Y-up stage needs no rotation on the light (frames: docs/scene_folder.md).
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +17,6 @@ from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdUtils, Vt
 
 from .. import __version__
 from ..errors import InputError
-from ..files import atomic_path, stage_folder
 from ..images import linear_to_srgb, write_exr, write_png
 from ..mesh_io import Mesh, load_mesh
 from ..optics import Explanation
@@ -144,27 +145,67 @@ def write_flat(path: Path, name: str, mesh: Mesh, asset: Asset, facts: dict) -> 
     stage.GetRootLayer().Save()
 
 
+@contextlib.contextmanager
+def staging(out: Path):
+    """A folder beside `out` in which an export is built under its final names, so that it can be checked before it is seen."""
+    folder = out.with_name(f".partial-{out.stem}")
+    try:
+        shutil.rmtree(folder, ignore_errors=True)            # a killed run's leftover
+        try:
+            folder.mkdir(parents=True)
+        except OSError as error:
+            raise InputError(f"the folder cannot be written to ({error.strerror})", out.parent,
+                             "chmod u+w it, or export elsewhere") from error
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def build(folder: Path, scene: str, mesh: Mesh, samples: list[Path], facts: dict) -> None:
+    """Write <scene>.usda and <scene>/ into `folder`. RuntimeError when a file does not pass the validators."""
+    name, inside = Tf.MakeValidIdentifier(scene), folder / scene
+    assets = [write_textures(Explanation.load(s), inside / f"sample_{k}", f"{scene}/sample_{k}") for k, s in enumerate(samples)]
+    for k, asset in enumerate(assets):
+        write_flat(inside / f"sample_{k}.usda", name, mesh, asset, facts | {"sample": k})
+    write_variants(folder / f"{scene}.usda", name, mesh, assets, facts)
+    files = [folder / f"{scene}.usda"] + [inside / f"sample_{k}.usda" for k in range(len(samples))]
+    problems = [p for f in files for p in check(f)]
+    if problems:
+        raise RuntimeError("the export does not pass the USD validators:\n" + "\n".join(problems))
+
+
+def package(folder: Path, scene: str) -> str | None:
+    """Pack sample 0 as <scene>.usdz in `folder`. Returns why there is none, or None when it is there."""
+    target = folder / f"{scene}.usdz"
+    if UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(folder / scene / "sample_0.usda")), str(target)) and target.exists():
+        return None
+    target.unlink(missing_ok=True)
+    return "OpenUSD could not pack sample_0.usda; the .usda files are complete without it"
+
+
+def publish(folder: Path, out: Path) -> None:
+    """Move a built export to its place; the .usda comes last, so that it never names files that are not there yet."""
+    shutil.rmtree(out.with_suffix(""), ignore_errors=True)
+    os.replace(folder / out.stem, out.with_suffix(""))
+    packed = folder / f"{out.stem}.usdz"
+    if packed.exists():
+        os.replace(packed, out.with_suffix(".usdz"))
+    else:
+        out.with_suffix(".usdz").unlink(missing_ok=True)     # an older package would show an older result
+    os.replace(folder / out.name, out)
+
+
 def export(atlas: Path, samples: list[Path], out: Path, facts: dict) -> dict:
-    """Write `out` (exports/<scene>.usda) and its folder, both whole or not at all, and check them.
+    """Write `out` (exports/<scene>.usda), its folder and a .usdz of sample 0; an export that fails leaves the old one alone.
 
     samples: folders with light.exr, base_color.exr, roughness.exr, metallic.exr. Raises InputError when exports/ cannot
     be written, RuntimeError when an export does not pass the USD validators.
     """
-    if not os.access(out.parent if out.parent.exists() else out.parent.parent, os.W_OK):
-        raise InputError("the folder cannot be written to", out.parent, "chmod u+w it, or export elsewhere")
-    scene, name, mesh = out.stem, Tf.MakeValidIdentifier(out.stem), load_mesh(atlas / "mesh_uv.ply")
-    facts = facts | {"samples": len(samples)}
-    with stage_folder(out.with_suffix("")) as folder:
-        assets = [write_textures(Explanation.load(s), folder / f"sample_{k}", f"{scene}/sample_{k}") for k, s in enumerate(samples)]
-        for k, asset in enumerate(assets):
-            write_flat(folder / f"sample_{k}.usda", name, mesh, asset, facts | {"sample": k})
-    with atomic_path(out) as temporary:
-        write_variants(temporary, name, mesh, assets, facts)
-    problems = check(out) + [p for k in range(len(samples)) for p in check(out.with_suffix("") / f"sample_{k}.usda")]
-    if problems:
-        raise RuntimeError("the export does not pass the USD validators:\n" + "\n".join(problems))
-    with atomic_path(out.with_suffix(".usdz")) as package:
-        made = UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(out.with_suffix("") / "sample_0.usda")), str(package))
+    mesh = load_mesh(atlas / "mesh_uv.ply")
+    with staging(out) as folder:
+        build(folder, out.stem, mesh, samples, facts | {"samples": len(samples)})
+        unpacked = package(folder, out.stem)
+        publish(folder, out)
     size = sum(f.stat().st_size for f in out.with_suffix("").rglob("*") if f.is_file()) / 2**20
-    return {"samples": len(samples), "problems": problems, "usdz": bool(made), "mib": round(size, 2)}
-
+    metrics = {"samples": len(samples), "problems": [], "usdz": unpacked is None, "mib": round(size, 2)}
+    return metrics | ({"warnings": [f"no .usdz: {unpacked}"]} if unpacked else {})
