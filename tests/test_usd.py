@@ -82,3 +82,51 @@ def test_base_colour_is_stored_as_srgb(exported):
     _, out, samples = exported
     stored = np.asarray(Image.open(out.with_suffix("") / "sample_0" / "base_color.png")) / 255
     assert np.allclose(srgb_to_linear(stored), read_exr(samples[0] / "base_color.exr"), atol=0.01)
+
+
+def test_a_failing_export_leaves_the_old_one(exported, ball, monkeypatch):
+    _, out, samples = exported
+    before = {f: f.read_bytes() for f in out.parent.rglob("*") if f.is_file()}
+    monkeypatch.setattr("pipeline.usd.write.check", lambda path: [f"{path.name}: wrong"])
+    with pytest.raises(RuntimeError, match="sample_1.usda: wrong"):
+        export(ball, samples[::-1], out, {"preset": "draft"})
+    assert {f: f.read_bytes() for f in out.parent.rglob("*") if f.is_file()} == before
+
+
+def test_without_a_package_the_export_stands_and_says_why(exported, ball, monkeypatch):
+    _, out, samples = exported
+    assert out.with_suffix(".usdz").exists()
+    monkeypatch.setattr("pipeline.usd.write.UsdUtils.CreateNewUsdzPackage", lambda asset, target: False)
+    metrics = export(ball, samples[:2], out, {"preset": "draft"})
+    assert not metrics["usdz"] and ".usdz" in metrics["warnings"][0] and check(out) == []
+    assert not out.with_suffix(".usdz").exists()                     # an older package would show an older result
+
+
+def test_package_holds_sample_0(exported):
+    from pxr import Ar
+    _, out, samples = exported
+    stage = Usd.Stage.Open(str(out.with_suffix(".usdz")))
+    for attribute in (a for p in stage.Traverse() for a in p.GetAttributes() if a.GetTypeName() == "asset" and a.Get().path):
+        assert Ar.GetResolver().OpenAsset(Ar.ResolvedPath(attribute.Get().resolvedPath)).GetSize() > 0
+    assert stage.GetDefaultPrim().GetCustomDataByKey("heliograph")["sample"] == 0
+
+
+def test_mesh_and_light_conventions(exported, ball):
+    from pxr import UsdGeom, UsdLux
+    from pipeline.mesh_io import load_mesh
+    _, out, _ = exported
+    stage, mesh = Usd.Stage.Open(str(out)), load_mesh(ball / "mesh_uv.ply")
+    root = stage.GetDefaultPrim()
+    prim, light = UsdGeom.Mesh(root.GetChild("Object")), UsdLux.DomeLight(root.GetChild("Light"))
+    assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 1
+    assert prim.GetSubdivisionSchemeAttr().Get() == "none" and prim.GetNormalsInterpolation() == "vertex"
+    assert np.allclose(prim.GetExtentAttr().Get(), [mesh.vertices.min(0), mesh.vertices.max(0)])
+    assert np.allclose(UsdGeom.PrimvarsAPI(prim).GetPrimvar("st").Get(), mesh.uv)
+    assert light.GetIntensityAttr().Get() == 1 and light.GetExposureAttr().Get() == 0
+    assert not UsdGeom.Xformable(light).GetOrderedXformOps()         # a rotation would turn the light against the object
+
+
+def test_unwritable_target_is_named(ball, tmp_path, exported):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        export(ball, exported[2], tmp_path / "file" / "a.usda", {})
