@@ -20,7 +20,7 @@ def ask(function, *arguments):
     try:
         return function(*arguments)
     except InputError as error:
-        raise WorkflowError(str(error))
+        sys.exit(f"\nHeliograph cannot go on.\n  {error}")
 
 
 def settings(stage, *sections):

@@ -24,6 +24,7 @@ from pipeline.envmap import directions, solid_angles            # noqa: E402
 from pipeline.images import linear_to_srgb, write_exr      # noqa: E402
 from pipeline.progress import progress                           # noqa: E402
 from pipeline.runtime import mitsuba as mi                       # noqa: E402
+import drjit as dr                                               # noqa: E402  after LLVM has been found
 
 WIDTH, HEIGHT, FOCAL_35 = 960, 640, 38.0
 DISTANCE, AIM = 0.93, np.array([0.03, 0.085, 0.0])
@@ -353,6 +354,11 @@ def lookup(part: Part, name: str, uv: np.ndarray) -> np.ndarray:
     return image[np.clip(((1 - uv[:, 1]) * h).astype(int), 0, h - 1), np.clip((uv[:, 0] * w).astype(int), 0, w - 1)]
 
 
+def shape_numbers(scene) -> dict[str, int]:
+    """Part name -> its number in the AOV `shape_index`: Dr.Jit's registry number, not the place in the scene."""
+    return {s.id(): int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in scene.shapes()}
+
+
 def trace_object(objects, everything, view, seed=0):
     """One sample per pixel: AOVs of the object alone, and where nothing else (the table) stands before it."""
     aov = mi.load_dict({"type": "aov", "aovs": "shape:shape_index,uv:uv,depth:depth"})
@@ -365,18 +371,19 @@ def material_maps(parts, objects, everything, view, seen, passes=16) -> dict[str
     """What the visible surface is made of: the mean over `passes` samples in each pixel of `seen`, zero elsewhere."""
     total = {"base_color": np.zeros(seen.shape + (3,)), "roughness": np.zeros(seen.shape + (1,)),
              "metallic": np.zeros(seen.shape + (1,))}
-    count = np.zeros(seen.shape + (1,))
-    for seed in range(passes):                                      # seed 0 is the sample that made `seen`: count > 0 there
+    count, numbers = np.zeros(seen.shape + (1,)), shape_numbers(objects)
+    for seed in range(passes):                                      # seed 0 also made `seen`, hence count > 0 there
         alone, visible = trace_object(objects, everything, view, seed)
-        for index, part in enumerate(parts, start=1):              # shape_index counts from 1; 0 = nothing hit
-            here = visible & (np.round(alone[..., 0]).astype(int) == index)
+        for part in parts:
+            here = visible & (np.round(alone[..., 0]).astype(int) == numbers[part.name])
             uv = np.stack([alone[here][:, 1], 1 - alone[here][:, 2]], 1)
             for name in total:
                 total[name][here] += lookup(part, name, uv)
             count[here] += 1
     if not (count[seen] > 0).all():
         raise RuntimeError("a pixel shows the object but none of its parts: shape indices do not match the parts")
-    return {k: np.where(seen[..., None], v / np.maximum(count, 1), 0).squeeze().astype(np.float32) for k, v in total.items()}
+    mean = {k: np.where(seen[..., None], v / np.maximum(count, 1), 0) for k, v in total.items()}
+    return {k: v.squeeze().astype(np.float32) for k, v in mean.items()}
 
 
 def render_truth(parts, env, poses, out: Path, spp: int) -> None:
@@ -429,7 +436,7 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("examples/garden"))
     parser.add_argument("--spp", type=int, default=32)
-    parser.add_argument("--views", type=int, default=0, help="only this many photos, spread over the rings, for a quick look")
+    parser.add_argument("--views", type=int, default=0, help="only this many photos, spread out, for a quick look")
     parser.add_argument("--truth-only", action="store_true", help="leave images/ as it is, make truth/ anew")
     parser.add_argument("--seed", type=int, default=0)
     return parser.parse_args()

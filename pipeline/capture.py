@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 from pathlib import Path
 
 import cv2
@@ -23,6 +24,9 @@ SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr")
 CAMERA_FILES = ("transforms.json", "transforms_train.json")
 ORIENTED = {2: lambda a: a[:, ::-1], 3: lambda a: a[::-1, ::-1], 4: lambda a: a[::-1], 5: lambda a: a.swapaxes(0, 1),
             6: lambda a: np.rot90(a, 3), 7: lambda a: np.rot90(a, 2).swapaxes(0, 1), 8: lambda a: np.rot90(a, 1)}
+# pycolmap brings its own libpng and zlib: if it is loaded first, OpenCV binds to a mixture of both and aborts at its first
+# PNG. One round trip here, before any stage loads pycolmap, binds OpenCV to its own.
+cv2.imdecode(cv2.imencode(".png", np.zeros((2, 2), np.uint16))[1], cv2.IMREAD_UNCHANGED)
 
 
 def camera_file(scene: Path) -> Path | None:
@@ -35,7 +39,7 @@ def named_frames(scene: Path, file: Path) -> list[Path]:
     try:
         frames = json.loads(file.read_text(encoding="utf-8"))["frames"]
         stems = [scene / frame["file_path"] for frame in frames]
-    except (json.JSONDecodeError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"not a transforms file ({error!r})", file, "see NeRF-synthetic or nerfstudio's format") from error
     out, missing = [], []
     for stem in stems:
@@ -49,7 +53,11 @@ def named_frames(scene: Path, file: Path) -> list[Path]:
 
 
 def photo_name(scene: Path, path: Path) -> str:
-    parts = path.relative_to(scene).with_suffix("").parts
+    """Name of a photo; only a known image suffix is taken off, so that `frame.001.png` and `frame.002.png` differ."""
+    if not path.is_relative_to(scene):
+        raise InputError("the photo lies outside the scene folder", path, f"move it into {scene} and correct its path")
+    relative = path.relative_to(scene)
+    parts = (relative.with_suffix("") if relative.suffix.lower() in SUFFIXES else relative).parts
     return "_".join(parts[1:] if parts[0] == "images" and len(parts) > 1 else parts)
 
 
@@ -79,6 +87,13 @@ def find_photos(scene: Path) -> list[tuple[str, Path, str]]:
     return out
 
 
+def unused_photos(scene: Path, found: list[tuple[str, Path, str]]) -> list[str]:
+    """Photos in images/ that a transforms file does not name: they are left out, and said so."""
+    used = {path.resolve() for _, path, _ in found}
+    files = sorted((scene / "images").rglob("*")) if camera_file(scene) else []
+    return [p.relative_to(scene).as_posix() for p in files if p.suffix.lower() in SUFFIXES and p.resolve() not in used]
+
+
 def _to_rgb(image: Image.Image) -> tuple[np.ndarray, str]:
     """A Pillow image as float (h, w, 3 or 4) in [0, 1] and a note on what was converted."""
     if image.mode == "CMYK":
@@ -88,6 +103,8 @@ def _to_rgb(image: Image.Image) -> tuple[np.ndarray, str]:
             image = ImageCms.profileToProfile(image, source, ImageCms.createProfile("sRGB"), outputMode="RGB")
             return np.asarray(image, np.float32) / 255, "CMYK by its ICC profile"
         return np.asarray(image.convert("RGB"), np.float32) / 255, "CMYK without a profile, by the plain formula"
+    if image.mode in ("F", "I"):
+        raise ValueError(f"32 bits per channel (Pillow mode {image.mode}): save linear pictures as EXR")
     alpha = image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
     return np.asarray(image.convert("RGBA" if alpha else "RGB"), np.float32) / 255, ""
 
@@ -96,6 +113,8 @@ def decode(path: Path) -> tuple[np.ndarray, dict]:
     """Encoded values in [0, 1] (EXR: linear), upright, (h, w, 3 or 4), and EXIF facts. InputError if unreadable."""
     if path.suffix.lower() == ".exr":
         pixels = read_exr(path)
+        if not np.isfinite(pixels).all():
+            raise InputError("the picture holds NaN or infinity", path, "export it again without them, or leave it out")
         return (pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)), {"linear": True}
     try:
         data = path.read_bytes()
@@ -108,7 +127,7 @@ def decode(path: Path) -> tuple[np.ndarray, dict]:
                 if deep is not None and deep.dtype == np.uint16:
                     return _oriented(_deep_rgb(deep), tags), facts | {"note": "16 bit"}
             pixels, note = _to_rgb(image)
-    except (OSError, SyntaxError, ValueError) as error:
+    except (OSError, SyntaxError, ValueError, ImageCms.PyCMSError, Image.DecompressionBombError) as error:
         raise InputError(f"the photo cannot be read ({error})", path, "copy it again from the camera, or remove it") from error
     return _oriented(pixels, tags), facts | ({"note": note} if note else {})
 
@@ -148,8 +167,11 @@ def _read_mask(scene: Path, path: Path, pixels: np.ndarray) -> np.ndarray | None
     for suffix in (".png", ".PNG", ".jpg"):
         file = scene / "masks" / (path.stem + suffix)
         if file.exists():
-            with Image.open(file) as image:
-                mask = np.asarray(ImageOps.exif_transpose(image).convert("L"), np.float32) / 255
+            try:
+                with Image.open(file) as image:
+                    mask = np.asarray(ImageOps.exif_transpose(image).convert("L"), np.float32) / 255
+            except (OSError, SyntaxError, ValueError) as error:
+                raise InputError(f"the mask cannot be read ({error})", file, "save it again as PNG") from error
             if mask.shape != pixels.shape[:2]:
                 raise InputError(f"the mask is {mask.shape[1]}x{mask.shape[0]}, its photo {pixels.shape[1]}x"
                                  f"{pixels.shape[0]}", file, "save the mask at the photo's size")
@@ -203,12 +225,23 @@ def normalise_exposure(photos: list[dict], mode: str) -> str:
     return "all photos share one exposure" if spread < 1.001 else f"divided out; exposures differ by a factor of {spread:.2f}"
 
 
+def focal_guess(photo: dict) -> dict:
+    """Focal length in working pixels for a start: from EXIF's 35 mm equivalent, else 1.2 x the long side as COLMAP."""
+    side = max(photo["width"], photo["height"])
+    if "focal_35mm" in photo:
+        return {"focal_px": photo["focal_35mm"] / 36 * side, "focal_source": "EXIF, 35 mm equivalent"}
+    return {"focal_px": 1.2 * side, "focal_source": "assumed, 1.2 x long side"}
+
+
 def capture(scene: Path, out: Path, settings: Capture) -> dict:
     """Convert every photo of `scene` into `out`/images/*.exr (half, linear), masks/*.png and photos.json.
 
     Raises InputError naming the photo for unreadable files, mask of another size, black masks, too few photos.
     """
     found = find_photos(scene)
+    unused = unused_photos(scene, found)
+    if unused:
+        print(f"{len(unused)} photos are not named by {camera_file(scene).name} and not used, first {unused[0]}", file=sys.stderr)
     (out / "images").mkdir()
     photos, masked = [], []
     for name, path, split in progress(found, "photos"):
@@ -228,8 +261,9 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
         raw = out / "images" / f"{p['name']}.npy"
         write_exr(raw.with_suffix(".exr"), np.load(raw).astype(np.float32) / p["gain"], half=True)
         p["clip_level"] /= p["gain"]
+        p |= focal_guess(p)
         raw.unlink()
-    write_json(out / "photos.json", {"scene": scene.name, "exposure": exposure, "photos": photos})
-    return {"photos": len(photos), "masks": len(masked), "exposure": exposure,
+    write_json(out / "photos.json", {"scene": scene.name, "exposure": exposure, "unused": unused, "photos": photos})
+    return {"photos": len(photos), "unused": len(unused), "masks": len(masked), "exposure": exposure,
             "size": sorted({(p["width"], p["height"]) for p in photos}),
             "clipped_share": float(np.mean([p["clipped_share"] for p in photos]))}

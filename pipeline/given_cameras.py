@@ -33,9 +33,21 @@ class Lens:
         return Lens(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.distortion)
 
 
+def check_shape(w: float, h: float, size: tuple[int, int], where, name: str) -> None:
+    """InputError when a camera's picture and its photo differ in shape by more than rounding (turned or cropped photo)."""
+    if abs(w * size[1] - h * size[0]) > 1.5 * max(w, h, *size):
+        raise InputError(f"the camera of '{name}' is {w:g}x{h:g}, the photo {size[0]}x{size[1]}: not the same shape", where,
+                         "use the very photos the cameras were made from (same crop, same EXIF rotation)")
+
+
 def _transforms_lens(data: dict, frame: dict, size: tuple[int, int], file: Path) -> Lens:
     value = lambda key, default=None: frame.get(key, data.get(key, default))
+    extra = [k for k in ("k3", "k4", "k5", "k6") if value(k)]
+    if extra or "FISHEYE" in str(value("camera_model", "")).upper():
+        raise InputError(f"lens model {value('camera_model', '')} with {extra or 'fisheye'} distortion is not supported", file,
+                         "undistort the photos first, or export with k1, k2, p1, p2 only")
     w, h = value("w", size[0]), value("h", size[1])
+    check_shape(w, h, size, file, frame.get("file_path"))
     if value("fl_x"):
         fx = float(value("fl_x"))
     elif value("camera_angle_x"):
@@ -50,7 +62,7 @@ def read_transforms(file: Path, scene: Path, sizes: dict[str, tuple[int, int]]) 
     """name -> (Lens, world-to-camera in the Y-up frame). `sizes`: each photo's original (width, height)."""
     data, out = json.loads(file.read_text(encoding="utf-8")), {}
     for frame in data["frames"]:
-        name = photo_name(scene, scene / (frame["file_path"] + ("" if Path(frame["file_path"]).suffix else ".png")))
+        name = photo_name(scene, scene / frame["file_path"])
         matrix = np.array(frame.get("transform_matrix"), float)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise InputError(f"frame '{frame['file_path']}' has no 4x4 transform_matrix", file, "export the cameras again")

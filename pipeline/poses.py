@@ -17,7 +17,7 @@ from .capture import camera_file
 from .config import Poses
 from .errors import InputError
 from .files import read_json
-from .given_cameras import Lens, poses_of_model, read_transforms
+from .given_cameras import Lens, check_shape, poses_of_model, read_transforms
 from .images import read_exr, write_exr, write_png
 from .progress import progress
 from .sfm import HINT, reconstruct, sparse_points
@@ -103,6 +103,8 @@ def main_cluster(points: np.ndarray, bandwidth: float) -> np.ndarray:
     """The largest group of points linked by steps shorter than `bandwidth`, and groups of at least a third its size."""
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
+    if len(points) > 5000:                                 # neighbour pairs grow with the square of the density
+        points = points[np.random.default_rng(0).choice(len(points), 5000, replace=False)]
     graph = cKDTree(points).sparse_distance_matrix(cKDTree(points), bandwidth, output_type="coo_matrix").tocsr()
     label = connected_components(graph, directed=False)[1]
     counts = np.bincount(label)
@@ -180,8 +182,13 @@ def _estimated(capture: Path, photos: list[dict], scene: Path, settings: Poses, 
             raise InputError(f"not a COLMAP model ({error})", scene / "sparse" / "0", "put cameras, images, points3D there") from error
         names = {Path(p["file"]).name: p["name"] for p in photos} | {p["file"].removeprefix("images/"): p["name"] for p in photos}
         found, facts = poses_of_model(model, names), {"source": "colmap"}
-        if not found:
-            raise InputError("none of its images is among the photos", scene / "sparse" / "0", "check the image names")
+        missing = sorted(i.name for i in model.images.values() if i.has_pose and i.name not in names)
+        if missing:
+            raise InputError(f"{len(missing)} of {len(model.images)} images of the model are not among the photos, first "
+                             f"{missing[0]}", scene / "sparse" / "0", "add the photos, or remove those images from the model")
+        by_name = {p["name"]: p for p in photos}
+        for name, (lens, _) in found.items():
+            check_shape(lens.width, lens.height, by_name[name]["original_size"], scene / "sparse" / "0", name)
     else:
         model, names, attempts = reconstruct(capture, photos, settings, threads)
         found, facts = poses_of_model(model, names), {"source": "sfm", "attempts": attempts}

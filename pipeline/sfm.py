@@ -1,4 +1,7 @@
-"""Structure from motion with COLMAP on the CPU: SIFT, matching, incremental mapping; a more thorough second attempt."""
+"""Structure from motion with COLMAP on the CPU: SIFT, matching, incremental mapping.
+
+Too few photos registered: a more thorough second attempt, then global mapping of its matches. The largest model is kept.
+"""
 
 from __future__ import annotations
 
@@ -65,6 +68,18 @@ def _attempt(folder: Path, tag: str, count: int, settings: Poses, single: bool, 
                   "models": sorted((m.num_reg_images() for m in models.values()), reverse=True)}
 
 
+def _global_attempt(folder: Path, settings: Poses, threads: int):
+    """Global mapping (GLOMAP) of the matches that the thorough attempt found."""
+    import pycolmap
+    print("mapping (global)", file=sys.stderr, flush=True)
+    options = pycolmap.GlobalPipelineOptions()
+    options.num_threads, options.random_seed, options.min_model_size = threads, settings.seed, 3
+    (folder / "global").mkdir()
+    models = pycolmap.global_mapping(folder / "thorough.db", folder / "images", folder / "global", options)
+    return (max(models.values(), key=lambda m: m.num_reg_images(), default=None),
+            {"attempt": "global", "models": sorted((m.num_reg_images() for m in models.values()), reverse=True)})
+
+
 def reconstruct(capture: Path, photos: list[dict], settings: Poses, threads: int):
     """(pycolmap Reconstruction, file name -> photo name, attempts). InputError when too few photos connect."""
     import pycolmap
@@ -75,9 +90,12 @@ def reconstruct(capture: Path, photos: list[dict], settings: Poses, threads: int
         (folder / "images").mkdir()
         names, single = write_inputs(capture, photos, folder / "images", settings)
         best, attempts = None, []
-        for tag, thorough in (("plain", False), ("thorough", True)):
-            (folder / tag).mkdir()
-            model, facts = _attempt(folder, tag, len(photos), settings, single, thorough, threads)
+        for tag in ("plain", "thorough", "global"):
+            if tag == "global":
+                model, facts = _global_attempt(folder, settings, threads)
+            else:
+                (folder / tag).mkdir()
+                model, facts = _attempt(folder, tag, len(photos), settings, single, tag == "thorough", threads)
             attempts.append(facts | {"single_camera": single})
             if model is not None and (best is None or model.num_reg_images() > best.num_reg_images()):
                 best = model
@@ -100,4 +118,5 @@ def sparse_points(model, order: dict[int, int]):
         if len(seen) >= 2:
             xyz.append(point.xyz), rgb.append(point.color), error.append(point.error), views.append(seen)
     offsets = np.concatenate([[0], np.cumsum([len(v) for v in views])])
-    return np.array(xyz), np.array(rgb, np.uint8), np.array(error), offsets, np.concatenate(views)
+    return (np.array(xyz, float).reshape(-1, 3), np.array(rgb, np.uint8).reshape(-1, 3), np.array(error, float),
+            offsets.astype(int), np.array([v for seen in views for v in seen], int))
