@@ -26,6 +26,16 @@ FACTS = {"capture": {"clipped_share": 0.05}, "poses": {"registered": 4, "photos"
          "observe": {"held_out": ["v1"]}, "fit": {"warnings": ["the fit stopped early"]}}
 
 
+PHOTOS: list[np.ndarray] = []                                      # rendered once for the whole file
+
+
+def photos(ball: Path, views) -> list[np.ndarray]:
+    if not PHOTOS:
+        renderer = Renderer(ball / "mesh_uv.ply", 16, 8, SCENE.render.max_depth)
+        PHOTOS.extend(render_view(renderer, explanation(16, 8, seed=0), v, 64) for v in views)
+    return PHOTOS
+
+
 @pytest.fixture
 def work(tmp_path, ball, ring) -> Path:
     """Folders of a whole run on the ball: view v1 is held out, its photo is rendered from sample 0."""
@@ -44,11 +54,9 @@ def work(tmp_path, ball, ring) -> Path:
         x.save(work / "refine" / str(k))
         write_json(work / "refine" / str(k) / "refine.json", {"held_out_psnr": 30.0 + k, "seconds": 3.0})
         write_json(work / "sample" / str(k) / "sample.json", {"seconds": 4.0})
-    renderer = Renderer(ball / "mesh_uv.ply", 16, 8, SCENE.render.max_depth)
     for folder in ("poses/images", "mesh/masks", "masks"):
         (work / folder).mkdir(parents=True, exist_ok=True)
-    for v in views:
-        photo = render_view(renderer, samples[0], v, 64)
+    for v, photo in zip(views, photos(ball, views)):
         write_exr(work / "poses" / v.image, photo)
         write_png(work / "mesh" / "masks" / f"{v.name}.png", (photo.sum(-1) > 0).astype(np.uint8) * 255)
     Image.fromarray(to_srgb8(photo)).save(work / "masks" / "overlay.jpg")
