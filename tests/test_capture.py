@@ -122,3 +122,46 @@ def _mask(scene, mask):
 def test_hidden_and_mask_files_are_no_photos(scene):
     (scene / "images" / ".hidden.png").write_bytes(b"x")
     assert len(find_photos(scene)) == 4
+
+
+def test_dots_in_names_stay_apart_and_unnamed_photos_are_told(scene, tmp_path, capsys):
+    """`file_path` without suffix but with a dot; photos no frame names are recorded, not used."""
+    for k in range(3):
+        Image.fromarray(PHOTO).save(scene / "images" / f"frame.{k}.png")
+    frames = [{"file_path": f"images/frame.{k}", "transform_matrix": np.eye(4).tolist()} for k in range(3)]
+    (scene / "transforms.json").write_text(json.dumps({"camera_angle_x": 1.0, "frames": frames}))
+    out, metrics, photos = run(scene, tmp_path)
+    assert [p["name"] for p in photos] == ["frame.0", "frame.1", "frame.2"] and metrics["unused"] == 4
+    assert all((out / "images" / f"{p['name']}.exr").exists() for p in photos)
+    assert "bild 0" in capsys.readouterr().err
+
+
+def test_sixteen_bit_tiff_and_grey(scene, tmp_path):
+    ramp = np.broadcast_to(np.linspace(0, 65535, 36)[None], (24, 36)).astype(np.uint16)
+    cv2.imwrite(str(scene / "images" / "deep.tif"), np.stack([ramp] * 3, -1))
+    cv2.imwrite(str(scene / "images" / "grey.png"), ramp)
+    out, _, _ = run(scene, tmp_path)
+    for name in ("deep", "grey"):
+        assert np.allclose(read_exr(out / "images" / f"{name}.exr")[..., 1], srgb_to_linear(ramp / 65535.0), atol=1e-3), name
+
+
+@pytest.mark.parametrize("name, save, fact", [
+    ("float.tif", lambda p: Image.fromarray(np.ones((8, 8), np.float32)).save(p), "32 bits per channel"),
+    ("text.png", lambda p: p.write_text("no picture"), "cannot be read")])
+def test_unusable_photo_is_named(scene, tmp_path, name, save, fact):
+    save(scene / "images" / name)
+    with pytest.raises(InputError, match=f"{name}.*{fact}"):
+        run(scene, tmp_path)
+
+
+def test_broken_mask_is_named(scene, tmp_path):
+    (scene / "masks").mkdir()
+    (scene / "masks" / "bild 1 ä.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match="bild 1.*mask cannot be read"):
+        run(scene, tmp_path)
+
+
+def test_focal_guess_and_its_source():
+    from pipeline.capture import focal_guess
+    assert focal_guess({"width": 720, "height": 360, "focal_35mm": 50.0})["focal_px"] == pytest.approx(1000)
+    assert "assumed" in focal_guess({"width": 100, "height": 200})["focal_source"]

@@ -95,3 +95,75 @@ def test_undistorted_straight_lines():
     weight = straight / straight.sum()
     center = (weight * (columns + 0.5)).sum(), (weight * (rows + 0.5)).sum()
     assert np.allclose(center, (new.fx * x + new.cx, new.fy * y + new.cy), atol=0.3)
+
+
+@pytest.mark.parametrize("more, fact", [({"camera_model": "OPENCV_FISHEYE"}, "fisheye"), ({"k3": 0.1}, "k3"),
+                                        ({"w": 80, "h": 100}, "not the same shape")])
+def test_cameras_that_would_be_misread_are_refused(tmp_path, more, fact):
+    frames = [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}]
+    (tmp_path / "t.json").write_text(json.dumps({"camera_angle_x": 1.0, "frames": frames} | more))
+    with pytest.raises(InputError, match=fact):
+        read_transforms(tmp_path / "t.json", tmp_path, {"a": (100, 80)})
+
+
+def _captured(tmp_path, pictures):
+    from PIL import Image
+
+    from pipeline.capture import capture
+    from pipeline.config import Capture
+    (tmp_path / "scene" / "images").mkdir(parents=True)
+    for k, picture in enumerate(pictures):
+        Image.fromarray(picture).save(tmp_path / "scene" / "images" / f"{k}.png")
+    (tmp_path / "capture").mkdir()
+    capture(tmp_path / "scene", tmp_path / "capture", Capture())
+    (tmp_path / "poses").mkdir()
+    return tmp_path / "capture", tmp_path / "scene", tmp_path / "poses"
+
+
+@pytest.mark.parametrize("kind", ["blank", "unrelated"])
+def test_photos_that_do_not_connect_are_refused(tmp_path, kind):
+    from pipeline.config import Poses
+    from pipeline.poses import make_poses
+    rng = np.random.default_rng(3)
+    pictures = [np.full((90, 120, 3), 120, np.uint8) if kind == "blank" else
+                np.kron(rng.integers(0, 255, (15, 20, 3)), np.ones((6, 6, 1))).astype(np.uint8) for _ in range(4)]
+    with pytest.raises(InputError, match="only 0 of 4 photos.*\n.*overlap"):
+        make_poses(*_captured(tmp_path, pictures), Poses(max_size=200, features=500), 2)
+
+
+def _model(folder, names, ring):
+    """A COLMAP model of exact pinhole cameras (no points) on disk, in its usual y-down world."""
+    import pycolmap
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(pycolmap.Camera(model="PINHOLE", width=64, height=64, params=[90, 90, 32, 32], camera_id=1))
+    turn = np.diag([1.0, -1, -1])
+    for k, (name, view) in enumerate(zip(names, ring(len(names)))):
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(view.world_to_camera[:3, :3] @ turn.T), view.world_to_camera[:3, 3])
+        model.add_image_with_trivial_frame(pycolmap.Image(name=name, camera_id=1, image_id=k + 1), pose)
+    folder.mkdir(parents=True)
+    model.write(folder)
+
+
+def test_colmap_folder_without_points_is_turned_upright(tmp_path, ring):
+    from pipeline.config import Poses
+    from pipeline.poses import make_poses
+    noise = np.random.default_rng(0).integers(0, 255, (6, 64, 64, 3)).astype(np.uint8)
+    capture, scene, out = _captured(tmp_path, list(noise))
+    _model(scene / "sparse" / "0", [f"{k}.png" for k in range(6)], ring)
+    metrics = make_poses(capture, scene, out, Poses(), 2)
+    rig = load_cameras(out / "cameras.json")
+    assert metrics["source"] == "colmap" and metrics["registered"] == 6 and "mean camera up" in metrics["up"]
+    ups = np.stack([-v.world_to_camera[1, :3] for v in rig.views])
+    assert (ups[:, 1] > 0.8).all()
+    for v in rig.views:                                            # every optical axis still passes the object's centre
+        uv, depth = v.project(rig.center)
+        assert np.allclose(uv, 32, atol=1e-3) and depth > 0
+
+
+def test_model_with_images_that_are_not_there_is_refused(tmp_path, ring):
+    from pipeline.config import Poses
+    from pipeline.poses import make_poses
+    capture, scene, out = _captured(tmp_path, [np.zeros((64, 64, 3), np.uint8) + k for k in range(4)])
+    _model(scene / "sparse" / "0", [f"{k}.png" for k in range(3)] + ["lost.png"], ring)
+    with pytest.raises(InputError, match="lost.png"):
+        make_poses(capture, scene, out, Poses(), 2)
