@@ -425,7 +425,7 @@ def write_facts(parts, poses, exposure: float, out: Path) -> None:
     points = np.concatenate([p.vertices for p in parts])
     facts = {"units": "metres", "up": "+Y, table top at y = 0",
              "object_bounds": [points.min(0).round(4).tolist(), points.max(0).round(4).tolist()],
-             "exposure": exposure, "focal_35mm": FOCAL_35, "fx_px": FOCAL_35 / 36 * WIDTH,
+             "exposure": round(exposure, 4), "focal_35mm": FOCAL_35, "fx_px": FOCAL_35 / 36 * WIDTH,
              "envmap": "sky and sun times exposure; table, lawn and hedge are geometry and not part of it",
              "maps": "linear, mean over the pixel, 0 where the object is not visible; principled BSDF, specular 0.5",
              "relight": "whole scene (with table, lawn and hedge) under relight/evening.exr, object pixels only"}

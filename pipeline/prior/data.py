@@ -21,7 +21,7 @@ def catalogue_rows(path: Path, licence_prefix: str) -> list[dict]:
         rows = list(csv.DictReader(file))
     kept = [r for r in rows if r["licence"].startswith(licence_prefix) and r["ldr"] != "1"]
     if not kept:
-        raise InputError(f"no row has a licence starting with '{licence_prefix}'", path, "check --licence-prefix")
+        raise InputError(f"no row has a licence starting with '{licence_prefix}'", path, "check licence_prefix in the configuration")
     return kept
 
 
