@@ -27,7 +27,7 @@ TRUNCATION = 4.0        # cells
 
 
 def fuse(grid: Grid, hull: np.ndarray, depths: list[Depth]) -> np.ndarray:
-    """min(hull, stereo) where enough views agree; at least 3 votes for free space empty a cell."""
+    """min(hull, stereo) where agreement sums to 3 or more; free-space votes (2+, over half of that sum) empty a cell."""
     h, w = depths[0].depth.shape
     behind, weight, free = stereo_field(grid.low.astype(np.float32), np.float32(grid.cell), grid.shape,
                                         projections([d.view for d in depths], w, h), stacked([d.depth for d in depths]),
