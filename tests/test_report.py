@@ -2,6 +2,7 @@
 import base64
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from pipeline.config import Scene
 from pipeline.errors import InputError
 from pipeline.files import read_json, write_json
 from pipeline.images import to_srgb8, write_exr, write_png
+from pipeline.mesh_io import load_mesh
 from pipeline.metrics import render_view
 from pipeline.optics import Renderer
 from pipeline.report import make_report
@@ -102,6 +104,25 @@ def test_a_missing_stage_is_named_and_the_old_page_stays(work, tmp_path):
     with pytest.raises(InputError, match="fit.json"):
         make_report(work, tmp_path / "a.usda", out, SCENE)
     assert out.read_text() == "old"
+
+
+def test_render_agrees_with_the_projection(ball, ring):
+    """Against `View.project`, not against another render: an off-centre wide view, so that no swap or flip goes unseen."""
+    view = replace(ring(4, SIZE)[1], width=64, height=40, fx=50.0, fy=50.0, cx=44.0, cy=14.0)
+    picture = render_view(Renderer(ball / "mesh_uv.ply", 16, 8, 2), explanation(16, 8), view, 8)
+    rows, columns = np.nonzero(picture.sum(-1))
+    uv, _ = view.project(load_mesh(ball / "mesh_uv.ply").vertices)
+    assert np.allclose([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], [*uv.min(0), *uv.max(0)], atol=1.2)
+
+
+def test_the_shown_render_is_the_photos_view(work):
+    from pipeline.cameras import load_cameras
+    view = next(v for v in load_cameras(work / "poses" / "cameras.json").views if v.name == "v1")
+    painter = Painter(work, view, SCENE)
+    picture = lambda b: np.asarray(Image.open(io.BytesIO(b))).astype(float)
+    shown, photo = picture(painter.sample(explanation(16, 8, seed=0))["render"]), picture(painter.photo_jpeg())
+    error = lambda a: np.abs(a - photo).mean()
+    assert error(shown) < 8 and error(shown) < 0.6 * min(error(shown[::-1]), error(shown[:, ::-1]))
 
 
 def test_render_lines_up_with_the_photo(work, ring):
