@@ -130,3 +130,19 @@ def test_unwritable_target_is_named(ball, tmp_path, exported):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         export(ball, exported[2], tmp_path / "file" / "a.usda", {})
+
+
+def test_fit_and_export_agree_on_the_texture_frame(ball):
+    """Image row 0 is v = 1 and column 0 is u = 0 for the renderer too; else the exported PNGs would be upside down."""
+    from pipeline.mesh_io import load_mesh
+    from pipeline.optics import Explanation, Renderer
+    mesh, grey = load_mesh(ball / "mesh_uv.ply"), np.full((16, 16), 1, np.float32)
+    corners = mesh.vertices[mesh.faces]
+    centre, uv = corners.mean(1), mesh.uv[mesh.faces].mean(1)
+    out = centre / np.linalg.norm(centre, axis=1, keepdims=True)
+    renderer = Renderer(ball / "mesh_uv.ply", 16, 8, 2)
+    for axis, ramp in ((1, np.linspace(1, 0, 16)[:, None]), (0, np.linspace(0, 1, 16)[None])):
+        base = np.broadcast_to(ramp[..., None], (16, 16, 3)).astype(np.float32).copy()
+        renderer.set(Explanation(np.ones((8, 16, 3), np.float32), base, grey, 0 * grey))
+        seen = np.mean([renderer.radiance(centre + out, -out, seed).mean(-1) for seed in range(8)], 0)
+        assert np.corrcoef(seen, uv[:, axis])[0, 1] > 0.9
