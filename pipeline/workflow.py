@@ -51,11 +51,19 @@ def code_digest(stage: str) -> str:
     return hashlib.sha256(b"".join(f.read_bytes() for f in sorted(seen))).hexdigest()[:16]
 
 
+def flattened(settings: dict, above: str = "") -> list[str]:
+    """{"mesh": {"grid": 128}} -> ["mesh.grid=128"], the form that stages take."""
+    out = []
+    for key, value in settings.items():
+        out += flattened(value, f"{above}{key}.") if isinstance(value, dict) else [f"{above}{key}={value}"]
+    return out
+
+
 class Scenes:
     """Validated configurations of the scenes that targets ask for."""
 
     def __init__(self, settings: dict):
-        self.settings = [f"{key}={value}" for key, value in settings.items()]
+        self.settings = flattened(settings)
         self.loaded: dict[str, Scene] = {}
 
     def __call__(self, name: str) -> Scene:

@@ -93,9 +93,9 @@ def test_nothing_to_do_when_nothing_changed(project):
 
 
 def test_one_option_reruns_only_what_depends_on_it(project):
-    assert jobs(project, "exports/toy.usda", "--config", "refine.steps=5") == {"refine", "export"}
-    assert "sample" in jobs(project, "exports/toy.usda", "--config", "fit.steps=7")
-    assert "mesh" not in jobs(project, "exports/toy.usda", "--config", "observe.pixels=2000")
+    assert jobs(project, "exports/toy.usda", "--config", "refine={steps: 5}") == {"refine", "export"}
+    assert "sample" in jobs(project, "exports/toy.usda", "--config", "fit={steps: 7}")
+    assert "mesh" not in jobs(project, "exports/toy.usda", "--config", "observe={pixels: 2000}")
 
 
 def test_more_samples_only_add_jobs(project):
@@ -118,7 +118,7 @@ def test_sample_alone_equals_sample_among_others(project, tmp_path):
 def test_a_killed_run_continues(project):
     """kill -9 of the whole process group in the middle of the fit; the next run finishes the work."""
     command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "--profile", str(ROOT / "profiles/default"),
-               "--directory", str(project), "--cores", "2", "exports/toy.usda", "--config", "fit.steps=2000"]
+               "--directory", str(project), "--cores", "2", "exports/toy.usda", "--config", "fit={steps: 2000}"]
     running = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     deadline = time.time() + 120
     while not (project / "work/toy/.partial-fit").exists() and time.time() < deadline:
@@ -126,7 +126,7 @@ def test_a_killed_run_continues(project):
     assert (project / "work/toy/.partial-fit").exists()
     os.killpg(running.pid, signal.SIGKILL)
     running.wait()
-    done = snakemake(project, "exports/toy.usda", "--config", "fit.steps=8")
+    done = snakemake(project, "exports/toy.usda", "--config", "fit={steps: 8}")
     assert done.returncode == 0, done.stderr[-3000:]
     assert check(project / "exports" / "toy.usda") == [] and not (project / "work/toy/.partial-fit").exists()
 
