@@ -111,8 +111,8 @@ def test_camera_and_texture_orientation(ball, ring):
     color[:32, :, 0] = 0.9                                    # row 0 is v = 1
     view = ring(4, 48)[0]
     picture = render_view(renderer, Explanation(np.ones((8, 16, 3), np.float32), color, ones, 0 * ones), view, 4)
-    rows, columns = np.mgrid[8:40:3, 8:40:3].reshape(2, -1)
+    rows, columns = np.mgrid[6:42, 6:42].reshape(2, -1)
     uv, _, hit = Tracer(ball / "mesh_uv.ply").hit(*view.rays(np.stack([columns + 0.5, rows + 0.5], -1)))
     clear = hit & (np.abs(uv[:, 1] - 0.5) > 0.06)
     red = picture[rows, columns, 0] > 2 * picture[rows, columns, 1]
-    assert clear.sum() > 20 and (red == (uv[:, 1] > 0.5))[clear].mean() > 0.97
+    assert clear.sum() > 200 and (red == (uv[:, 1] > 0.5))[clear].mean() > 0.93
