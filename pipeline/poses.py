@@ -44,14 +44,14 @@ def ground_plane(xyz: np.ndarray, centers: np.ndarray, up: np.ndarray, middle: n
     """RANSAC over the points: (unit normal, offset, inlier share) of the plane n.x = offset, or None.
 
     A ground plane has its normal within 40 degrees of the cameras' mean up, all cameras above it, and at least 12 % of
-    the nearer points; among planes with similar support the one below the axes' meeting point wins.
+    the nearer points, or, like white paper with little to match on it, 4 % and next to nothing below.
     """
     distance = np.median(np.linalg.norm(centers - middle, axis=1))
     near = xyz[np.linalg.norm(xyz - middle, axis=1) < 1.5 * distance]
     if len(near) < 50:
         return None
     rng, best, tolerance = np.random.default_rng(seed), (0.0, None), 0.01 * distance
-    for _ in range(1500):
+    for _ in range(6000):
         a, b, c = near[rng.choice(len(near), 3, replace=False)]
         n = np.cross(b - a, c - a)
         n = n / (np.linalg.norm(n) + 1e-12)
@@ -71,8 +71,10 @@ def ground_plane(xyz: np.ndarray, centers: np.ndarray, up: np.ndarray, middle: n
         n = np.linalg.svd(inliers - center, full_matrices=False)[2][2]
         n = n * np.sign(n @ up)
         offset = center @ n
-    share = float((np.abs(near @ n - offset) < tolerance).mean())
-    return (n, float(offset), share) if share >= 0.12 else None
+    height = near @ n - offset
+    share, below = float((np.abs(height) < tolerance).mean()), float((height < -3 * tolerance).mean())
+    bare = share >= 0.04 and share * len(near) >= 80 and below < 0.02
+    return (n, float(offset), share) if share >= 0.12 or bare else None
 
 
 def object_points(xyz, offsets, views, poses, lenses, plane, masks) -> np.ndarray:
