@@ -8,7 +8,7 @@ from pipeline.config import Atlas
 from pipeline.errors import InputError
 from pipeline.masks.agreement import agreement, hull_points
 from pipeline.mesh_io import Mesh, load_mesh, save_mesh, vertex_normals
-from pipeline.surface import bounds, fuse, given_mesh
+from pipeline.surface import coarse_hull, fuse, given_mesh
 from pipeline.surface.clean import facts, largest_solid, signed_volume, simplify, to_mesh
 from pipeline.surface.field import hull_of
 from pipeline.surface.stereo import Depth, stereo
@@ -33,7 +33,8 @@ def sphere(ring):
 
 def test_hull_of_a_sphere_is_the_sphere(sphere):
     rig, masks = sphere
-    grid = Grid.over(*bounds(rig, masks), 48)
+    points, margin = coarse_hull(rig, masks)
+    grid = Grid.over(points.min(0) - margin, points.max(0) + margin, 48)
     field = hull_of(grid, rig.views, [masks[v.name] for v in rig.views], 4 * grid.cell, 0.0)
     mesh, found = simplify(to_mesh(field, grid), 1500)
     radius = np.linalg.norm(mesh.vertices, axis=1)
@@ -52,7 +53,7 @@ def test_one_bad_mask_neither_carves_nor_goes_unnoticed(sphere):
 def test_masks_without_common_volume_are_named(sphere):
     rig, masks = sphere
     with pytest.raises(InputError, match="no volume in common"):
-        bounds(rig, {n: np.zeros_like(m) for n, m in masks.items()})
+        coarse_hull(rig, {n: np.zeros_like(m) for n, m in masks.items()})
 
 
 def test_stereo_depth_of_a_textured_wall(ring):
@@ -73,7 +74,7 @@ def test_stereo_depth_of_a_textured_wall(ring):
                                 cv2.INTER_LINEAR).astype(np.uint8))
         views.append(v)
     masks = [np.ones((120, 160), bool)] * 6
-    depths, share = stereo(views, images, masks, np.zeros(3), 0.7, 2)
+    depths, share = stereo(views, images, masks, np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3)), 0.1, 2)
     assert share > 0.4
     for depth in depths:
         rows, columns = np.nonzero(depth.depth)

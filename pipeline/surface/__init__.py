@@ -52,11 +52,11 @@ def given_mesh(scene: Path, rig: Rig) -> Mesh | None:
     return Mesh(mesh.vertices @ world[:3, :3].T + world[:3, 3], mesh.faces, mesh.normals @ turn.T, mesh.uv)
 
 
-def bounds(rig: Rig, masks: dict) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of a box around the coarse hull. InputError naming the worst views when there is no common volume."""
+def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
+    """Points (n, 3) that fill the masks' common volume, and a margin within which it is known. InputError naming the worst views when there is no common volume."""
     points, cell = hull_points(rig, masks, 72, 0.15)
     if len(points):
-        return points.min(0) - 2.5 * cell, points.max(0) + 2.5 * cell
+        return points, 2.5 * cell
     area = {n: float(m.mean()) for n, m in masks.items()}
     worst = sorted(area, key=area.get)[:3]
     raise InputError(f"the masks have no volume in common; smallest masks: {', '.join(worst)}", "masks",
@@ -65,7 +65,8 @@ def bounds(rig: Rig, masks: dict) -> tuple[np.ndarray, np.ndarray]:
 
 def build_field(rig: Rig, poses: Path, masks: dict, confidence: dict, settings: MeshSettings, given: bool, threads: int):
     """Field and grid by the chosen method, and the facts behind the choice."""
-    low, high = bounds(rig, masks)
+    points, margin = coarse_hull(rig, masks)
+    low, high = points.min(0) - margin, points.max(0) + margin
     plane = rig.facts.get("plane")
     if plane is not None:
         low[1] = max(low[1], plane["offset"] - 0.02 * (high[1] - low[1]))
@@ -77,12 +78,11 @@ def build_field(rig: Rig, poses: Path, masks: dict, confidence: dict, settings: 
     hull = hull_of(grid, carving, [masks[v.name] for v in carving], truncation, 0.04 if given else 0.08)
     depths, share, method = [], None, settings.method
     if method != "hull":
-        center = 0.5 * (low + high)
         views = [v.scaled(settings.stereo_scale) for v in rig.views]
         images = [cv2.resize((luminance(linear_to_srgb(read_exr(poses / v.image))) * 255).astype(np.uint8), (s.width, s.height),
                              interpolation=cv2.INTER_AREA) for v, s in zip(rig.views, views)]
         small = [cv2.resize(masks[v.name].astype(np.uint8), (v.width, v.height), interpolation=cv2.INTER_NEAREST) > 0 for v in views]
-        depths, share = stereo(views, images, small, center, 0.5 * float(np.linalg.norm(high - low)), threads)
+        depths, share = stereo(views, images, small, points, margin, threads)
     if method == "auto":
         method = "fused" if share >= settings.min_agreement else "hull"
     field = SURFACE_METHODS[method](grid, hull, depths)

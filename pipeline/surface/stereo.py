@@ -36,8 +36,12 @@ def neighbours(views: list[View], center: np.ndarray, count: int, wish: float = 
     return [[int(j) for j in np.argsort(row)[:count] if np.isfinite(row[j])] for row in cost]
 
 
-def rectified_pair(a: View, b: View, center: np.ndarray, radius: float):
-    """Rotation (3, 3), focal length, picture size, principal points of left and right, smallest and number of disparities."""
+def rectified_pair(a: View, b: View, hull: np.ndarray, margin: float):
+    """Rotation (3, 3), focal length, picture size, principal points of left and right, smallest and number of disparities.
+
+    The picture and the disparities reach just as far as the points `hull` (n, 3) and `margin` around them: a close-up
+    whose search went as far as a sphere around the object took a hundred times as long.
+    """
     x = b.position - a.position
     baseline = np.linalg.norm(x)
     x = x / baseline
@@ -46,19 +50,19 @@ def rectified_pair(a: View, b: View, center: np.ndarray, radius: float):
     z /= np.linalg.norm(z)
     rotation = np.stack([x, np.cross(z, x), z])
     focal = 0.5 * (a.fx + b.fx)
-    c = rotation @ (center - a.position)
-    near, far = max(c[2] - radius, 0.2 * c[2]), c[2] + radius
-    d_min, d_max = focal * baseline / far, focal * baseline / near
+    p = (hull - a.position) @ rotation.T
+    near = max(p[:, 2].min() - margin, 0.2 * np.median(p[:, 2]))
+    d_min, d_max = focal * baseline / (p[:, 2].max() + margin), focal * baseline / near
     count = int(np.ceil((d_max - d_min) / 16)) * 16
-    half = focal * radius / near
-    width, height = int(2 * half) + count + 8, int(2 * half) + 8
-    cx, cy = half + count + 4 - focal * c[0] / c[2], half + 4 - focal * c[1] / c[2]
-    return rotation, focal, baseline, (width, height), (cx, cy), d_min, count
+    at, edge = focal * p[:, :2] / np.maximum(p[:, 2:], near), focal * margin / near + 4
+    low, high = at.min(0) - edge, at.max(0) + edge
+    width, height = int(high[0] - low[0]) + count, int(high[1] - low[1])
+    return rotation, focal, baseline, (width, height), (count - low[0], -low[1]), d_min, count
 
 
-def pair_depth(a: View, b: View, image_a, image_b, center, radius) -> np.ndarray:
+def pair_depth(a: View, b: View, image_a, image_b, hull, margin: float) -> np.ndarray:
     """Depth of view a (h, w) from its pair with b; 0 where matching failed. Images are 8-bit grey at the views' size."""
-    rotation, focal, baseline, size, (cx, cy), d_min, count = rectified_pair(a, b, center, radius)
+    rotation, focal, baseline, size, (cx, cy), d_min, count = rectified_pair(a, b, hull, margin)
     K = np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1.0]])
     Kb = K + [[0, 0, d_min], [0, 0, 0], [0, 0, 0]]
     shift = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])                     # OpenCV's pixel centres are integers
@@ -113,16 +117,19 @@ def cross_check(depths: list[np.ndarray], views: list[View], near: list[list[int
     return out
 
 
-def stereo(views: list[View], images: list[np.ndarray], masks: list[np.ndarray], center: np.ndarray, radius: float,
+def stereo(views: list[View], images: list[np.ndarray], masks: list[np.ndarray], hull: np.ndarray, margin: float,
            threads: int) -> tuple[list[Depth], float]:
     """Consistent depth maps of all views, and the share of mask pixels that have one.
 
-    views: scaled to the images' size; images: 8-bit grey; masks: bool at that size; the sphere holds the object.
+    views: scaled to the images' size; images: 8-bit grey; masks: bool at that size; hull: points (n, 3) that fill the
+    object's volume to within `margin`.
     """
+    low, high = hull.min(0) - margin, hull.max(0) + margin
+    center, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
     partners = neighbours(views, center, 3)
 
     def one(k: int) -> np.ndarray:
-        pairs = [pair_depth(views[k], views[j], images[k], images[j], center, radius) for j in partners[k]]
+        pairs = [pair_depth(views[k], views[j], images[k], images[j], hull, margin) for j in partners[k]]
         return np.where(masks[k], merge_pairs(pairs, AGREE * radius), 0) if pairs else np.zeros(masks[k].shape, np.float32)
     with ThreadPoolExecutor(threads) as pool:
         depths = list(progress(pool.map(one, range(len(views))), "stereo", len(views)))
