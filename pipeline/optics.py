@@ -71,6 +71,7 @@ class Renderer:
                 "type": "principled", "specular": 0.5, "base_color": blank(3), "roughness": blank(1), "metallic": blank(1)}}}})
         self.params = mi.traverse(self.scene)
         self.params.keep(list(KEYS.values()))
+        self.mesh, self.max_depth = Path(mesh), max_depth
         self.texture, self.light_shape = texture, (light_height, 2 * light_height, 3)
         self.integrator = mi.load_dict({"type": "prb", "max_depth": max_depth, "rr_depth": 1000, "hide_emitters": True})
 

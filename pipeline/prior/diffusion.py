@@ -34,6 +34,11 @@ class DiffusionPrior:
                              "give a file written by `python -m pipeline.prior.export`") from error
         return cls(model, Code(facts["mean"], facts["std"]), facts["height"])
 
+    @property
+    def log_spread(self) -> float:
+        """Change of log radiance per unit of code."""
+        return 2 * self.code.std
+
     def label_index(self, label: str | None) -> int:
         if label is None:
             return len(LABELS)

@@ -1,0 +1,197 @@
+"""Likelihood of the photos' rows given light and region materials, with the base colour of every point integrated out.
+
+Rows i of surface point p in region r, per channel (see transport.py for the lobes):
+
+    y_i = a_p U_i + W_i + e_i,   U = (1 - m) A + m (M1 - M0),   W = (1 - m) S + m M0   (each applied to the light)
+    a_p ~ N(mu_r, tau_r^2 mu_r^2)                       base colour varies about its region's mean
+    e_i ~ N(0, eta^2 (y_i + SHADE)^2 / lambda_i)        lambda_i ~ Gamma(NU / 2, NU / 2): Student's t, outliers count less
+
+so y_p ~ N(mu U + W, D + v U U') with v = tau^2 mu^2, in closed form by the rank-one identities. A region of one colour
+tells of the light by its shading, a busy texture does not, and the data decide which it is.
+
+Neighbouring rows err together (a wrong normal, a wrong camera): the log-likelihood is divided by the design effect
+kappa, measured from residuals. Saturated rows are augmented: their y is drawn above the clip level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy import sparse, stats
+from scipy.spatial import cKDTree
+
+from ..transport import Rows, Transport
+from .problem import ALBEDO_MAX, SHADE
+
+NU = 4.0                                                    # degrees of freedom of the residuals
+LEVELS = (0.08, 0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0)      # roughness
+STORE = 512.0                                               # half floats keep their precision around 1e-3 * STORE
+
+
+@dataclass
+class Theta:
+    """Region materials: mean base colour mu (R, 3), its relative spread tau (R,), roughness level (R,), metallic m (R,)."""
+    mu: np.ndarray
+    tau: np.ndarray
+    level: np.ndarray
+    m: np.ndarray
+
+    def copy(self) -> "Theta":
+        return Theta(*(v.copy() for v in vars(self).values()))
+
+
+class Lobes:
+    """The lobes' light matrices at every roughness level (half floats) and the sparse ones for light off the object."""
+
+    def __init__(self, transport: Transport, roughness_min: float, seed: int):
+        self.levels = tuple(r for r in LEVELS if r >= roughness_min)
+        self.direct, self.off = [], []
+        for k, r in enumerate(self.levels):
+            F, G = transport.at(r, seed * 101 + k)
+            self.direct.append(torch.from_numpy(F * STORE).half())
+            self.off.append(G)
+
+    def apply(self, light: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        """(levels, 4, n, 3): every lobe at every level under light (M, 3), exitant radiance of the nodes (q, 3)."""
+        L = torch.from_numpy(light.astype(np.float32)) / STORE
+        return np.stack([(F.float() @ L).numpy() + np.stack([g @ nodes for g in G]) for F, G in zip(self.direct, self.off)])
+
+
+def mix(parts, m):
+    """U and W from the four lobes (4, ...) at metallic m."""
+    return (1 - m) * parts[0] + m * (parts[2] - parts[3]), (1 - m) * parts[1] + m * parts[3]
+
+
+class Photos:
+    """Rows of the photos with their noise, and what the current materials make of them.
+
+    y (n, 3), clipped (n,), region (p,) of every point. `light` arguments are (M, 3) radiance.
+    """
+
+    def __init__(self, transport: Transport, lobes: Lobes, rgb: np.ndarray, clipped: np.ndarray, region: np.ndarray, bounces: int,
+                 rows: Rows | None = None):
+        self.transport, self.lobes, self.rows, self.bounces = transport, lobes, rows or transport.rows, bounces
+        self.observed, self.clipped, self.y = rgb.astype(np.float64), clipped, rgb.astype(np.float64).copy()
+        self.region, self.starts = region, self.rows.starts
+        self.row_region = region[self.rows.point]
+        self.eta, self.kappa, self.weight = 0.3, 1.0, np.ones(len(rgb))
+        self.theta: Theta | None = None
+        self.assembled = None                               # (level, m) per region of the matrices U, W
+
+    @property
+    def precision(self) -> np.ndarray:
+        """1 / variance of each row and channel (n, 3)."""
+        return self.weight[:, None] / (self.eta * (self.observed + SHADE)) ** 2
+
+    def set(self, theta: Theta) -> None:
+        """Materials that `predict`, `value` and `normal_equations` use. Matrices are rebuilt only where they changed."""
+        key = (tuple(theta.level), tuple(theta.m))
+        if key != self.assembled:
+            n, M = self.lobes.direct[0].shape[1:]
+            self.U, self.W = torch.empty(n, M), torch.empty(n, M)
+            off = [sparse.csr_matrix(self.lobes.off[0][0].shape)] * 2
+            for r in range(len(theta.m)):
+                index = np.flatnonzero(self.row_region == r)
+                parts = self.lobes.direct[theta.level[r]][:, index].float() / STORE
+                self.U[index], self.W[index] = mix(parts, float(theta.m[r]))
+                choose = sparse.diags((self.row_region == r).astype(float))
+                off = [a + choose @ b for a, b in zip(off, mix(self.lobes.off[theta.level[r]], theta.m[r]))]
+            self.off, self.assembled = off, key
+        self.theta = theta
+
+    def albedo(self, theta: Theta) -> np.ndarray:
+        """Diffuse stand-in albedo (p, 3) of the points for light between parts of the object."""
+        m = theta.m[:, None]
+        return np.clip((1 - m) * (theta.mu + 0.05) + m * theta.mu, 0, ALBEDO_MAX)[self.region]
+
+    def nodes(self, light: np.ndarray, theta: Theta) -> np.ndarray:
+        return self.transport.exitant(light, self.albedo(theta), self.bounces - 1) if self.bounces > 1 else \
+            np.zeros((len(self.transport.node_position), 3))
+
+    def predict(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """U and W applied to the light, (n, 3) each, light off the object included."""
+        L, B = torch.from_numpy(light.astype(np.float32)), self.nodes(light, self.theta)
+        return (self.U @ L).numpy() + self.off[0] @ B, (self.W @ L).numpy() + self.off[1] @ B
+
+    def sums(self, U, W, mu_rows):
+        """Per point and channel: sum w U^2, sum w U r, sum w r^2 over kappa, with r = y - mu U - W; (p, 3) each."""
+        w, r = self.precision, self.y - mu_rows * U - W
+        add = lambda v: np.add.reduceat(v, self.starts, axis=0) / self.kappa
+        return add(w * U * U), add(w * U * r), add(w * r * r)
+
+    def point_values(self, U: np.ndarray, W: np.ndarray, theta: Theta) -> np.ndarray:
+        """Log-likelihood of every point (p,), constants of the noise left out."""
+        mu, v = theta.mu[self.region], (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
+        q, g, s = self.sums(U, W, theta.mu[self.row_region])
+        return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * q)).sum(1)
+
+    def value(self, light: np.ndarray) -> float:
+        return float(self.point_values(*self.predict(light), self.theta).sum())
+
+    def whitened(self, light: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        """T (3, n, M) and y (3, n): log-likelihood ~ -|y - T L|^2 / 2 near `light`, for the direct part of the transport."""
+        theta, (U, _) = self.theta, self.predict(light)
+        mu, nodes = theta.mu[self.row_region], self.nodes(light, theta)
+        direct = self.y - mu * (self.off[0] @ nodes) - self.off[1] @ nodes
+        v = (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
+        root, T, y = np.sqrt(self.precision / self.kappa), torch.empty((3,) + self.U.shape), torch.empty(3, len(mu))
+        segment = torch.from_numpy(self.rows.point)
+        for c in range(3):
+            u = root[:, c] * U[:, c]
+            norm = np.maximum(np.add.reduceat(u * u, self.starts), 1e-30)
+            shrink = 1 - 1 / np.sqrt(1 + v[:, c] * norm)                       # (I - shrink uu') D^-1/2 whitens D + v UU'
+            unit = torch.from_numpy((u / np.sqrt(norm)[self.rows.point]).astype(np.float32))[:, None]
+            factor, scale = (torch.from_numpy(x.astype(np.float32))[:, None] for x in (shrink, root[:, c]))
+            project = lambda x: unit * (factor * torch.zeros(len(norm), x.shape[1]).index_add_(0, segment, unit * x))[segment]
+            t = (torch.from_numpy(mu[:, c:c + 1].astype(np.float32)) * self.U + self.W) * scale
+            rest = torch.from_numpy(direct[:, c:c + 1].astype(np.float32)) * scale
+            T[c], y[c] = t - project(t), (rest - project(rest))[:, 0]
+        return T, y
+
+    def draw_colour(self, U, W, theta: Theta, rng) -> np.ndarray:
+        """Base colour of every point (p, 3) given everything else, within [0, ALBEDO_MAX]."""
+        v = np.maximum((theta.tau[self.region, None] * theta.mu[self.region]) ** 2, 1e-10)
+        q, g, _ = self.sums(U, W, theta.mu[self.row_region])
+        mean, deviation = theta.mu[self.region] + v * g / (1 + v * q), np.sqrt(v / (1 + v * q))
+        low, high = (stats.norm.cdf((edge - mean) / deviation) for edge in (0.0, ALBEDO_MAX))
+        inside = stats.norm.ppf(np.clip(low + rng.random(low.shape) * (high - low), 1e-9, 1 - 1e-9))
+        return np.clip(mean + deviation * inside, 0.0, ALBEDO_MAX)
+
+    def draw_noise(self, U, W, colour: np.ndarray, rng) -> None:
+        """New eta, lambda and saturated y, given the points' colours."""
+        predicted = colour[self.rows.point] * U + W
+        if self.clipped.any():
+            k = self.clipped
+            deviation = 1 / np.sqrt(self.precision[k])
+            low = stats.norm.cdf((self.observed[k] - predicted[k]) / deviation)
+            drawn = stats.norm.ppf(np.clip(low + rng.random(low.shape) * (1 - low), 1e-9, 1 - 1e-9))
+            self.y[k] = np.maximum(predicted[k] + deviation * drawn, self.observed[k])
+        relative = ((self.y - predicted) / (self.observed + SHADE)) ** 2
+        self.weight = rng.gamma(0.5 * (NU + 3), 1 / (0.5 * (NU + relative.sum(1) / self.eta**2)))
+        freedom = relative.size / self.kappa
+        scale = (self.weight[:, None] * relative).sum() / self.kappa
+        self.eta = float(np.sqrt((0.5 * scale + 1e-4) / rng.gamma(0.5 * freedom + 1.0)))
+
+
+def design_effect(rows: Rows, position: np.ndarray, view: np.ndarray, residual: np.ndarray, bins: int = 12) -> float:
+    """Rows per independent row: 1 + sum over other rows of the same view of the residuals' correlation at that distance.
+
+    residual (n,) standardised; position (n, 3). Correlations are averaged in distance bins, the first one reaching 1.5
+    times the usual distance of neighbours, and taken as zero from the first bin below 0.05 on (Kish 1965 for the name).
+    """
+    first = position[rows.starts]
+    reach = 1.5 * bins * float(np.median(cKDTree(first).query(first, 2)[0][:, 1]))
+    top, count, r = np.zeros(bins), np.zeros(bins), (residual - residual.mean()) / max(residual.std(), 1e-12)
+    for k in np.unique(view):
+        mine = np.flatnonzero(view == k)
+        pairs = cKDTree(position[mine]).query_pairs(reach, output_type="ndarray")
+        if len(pairs):
+            i, j = mine[pairs.T]
+            which = np.minimum((np.linalg.norm(position[i] - position[j], axis=1) / reach * bins).astype(int), bins - 1)
+            top += np.bincount(which, r[i] * r[j], bins)
+            count += np.bincount(which, minlength=bins)
+    correlation = np.where(count > 20, top / np.maximum(count, 1), 0)
+    end = np.argmax(correlation < 0.05) if (correlation < 0.05).any() else bins
+    return float(1 + 2 * (correlation[:end] * count[:end]).sum() / len(residual))

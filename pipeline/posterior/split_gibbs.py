@@ -1,0 +1,161 @@
+"""Posterior samples by split Gibbs sampling with a diffusion prior (PnP-DM: Wu et al. 2024; DAPS: Zhang et al. 2025).
+
+The light's code is split in two that attract each other, pi(x, z) ~ p(x) exp(-|x - z|^2 / 2 rho^2) l(z), and rho falls
+from a level's width of the prior to almost nothing. In turn:
+
+    z | x    the likelihood in code space with a Gaussian around x: elliptical slice sampling (Murray et al. 2010) about
+             the Laplace approximation
+    x | z    the prior seen through noise of width rho: the network's own reverse diffusion from level rho down
+    the rest the regions' materials, the light's scale, the noise (region_moves.py, likelihood.py)
+
+The network is never differentiated, and all steps leave the augmented posterior as it is (up to the levels of the
+reverse diffusion), so there is no guidance weight to tune.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import torch
+from scipy.linalg.blas import ssyrk
+
+NEWTON_STEPS = 2
+SLICES = 6
+
+
+class LightLikelihood(Protocol):
+    """Log-likelihood of a light code z (3, M)."""
+
+    def value(self, z: torch.Tensor) -> float: ...
+
+    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """J (3, n, M) and r (3, n): log-likelihood of z + d ~ -|r - J d|^2 / 2, channel by channel."""
+
+
+def widths(levels: int, first: float, last: float, stay: int) -> np.ndarray:
+    """The rho of every turn: geometric from `first` to `last`, then `stay` more turns at `last`."""
+    return np.concatenate([np.geomspace(first, last, levels), np.full(stay, last)])
+
+
+def cholesky(A: torch.Tensor) -> torch.Tensor:
+    """Of a positive definite matrix; a little more diagonal where rounding asks for it."""
+    for jitter in (0.0, 1e-6, 1e-5, 1e-4, 1e-3):
+        factor, bad = torch.linalg.cholesky_ex(A + jitter * A.diagonal().mean() * torch.eye(len(A)))
+        if not bad:
+            return factor
+    raise FloatingPointError("the light's curvature is not positive definite")
+
+
+def gram(J: torch.Tensor) -> torch.Tensor:
+    """J J^T of one matrix: half the work of a product."""
+    G = torch.from_numpy(ssyrk(1.0, J.numpy().T, trans=1))                    # Fortran order: upper triangle only
+    return G + G.triu(1).T
+
+
+class Curvature:
+    """A = J^T J + I / s^2 of one channel, J (n, M): solved in whichever of the two spaces is smaller (Woodbury)."""
+
+    def __init__(self, J: torch.Tensor, s: float):
+        self.J, self.s, self.dual = J, s, J.shape[0] < J.shape[1]
+        inner = gram(J) if self.dual else gram(J.T.contiguous())
+        self.factor = cholesky(s**2 * inner + torch.eye(len(inner)))
+
+    def solve(self, b: torch.Tensor) -> torch.Tensor:
+        """A^-1 b, (M,)"""
+        if not self.dual:
+            return self.s**2 * torch.cholesky_solve(b[:, None], self.factor)[:, 0]
+        inner = torch.cholesky_solve((self.J @ b)[:, None], self.factor)[:, 0]
+        return self.s**2 * (b - self.s**2 * (inner @ self.J))
+
+    def draw(self, noise: torch.Generator) -> torch.Tensor:
+        """A draw of N(0, A^-1), by perturbing and solving (Papandreou and Yuille 2010)."""
+        a, b = torch.randn(self.J.shape[1], generator=noise), torch.randn(self.J.shape[0], generator=noise)
+        return self.solve(a / self.s + b @ self.J)
+
+    def log_determinant(self) -> float:
+        """Of s^2 A."""
+        return 2 * float(self.factor.diagonal().log().sum())
+
+
+class Laplace:
+    """Gaussian N(mode, A^-1) near the peak of likelihood x N(z; x, rho^2), channels independent."""
+
+    def __init__(self, likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float):
+        self.mode, self.rho = z.clone(), rho
+        target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
+        best = target(self.mode)
+        for k in range(NEWTON_STEPS):
+            self.J, r = likelihood.expansion(self.mode)
+            self.curvature = [Curvature(J, rho) for J in self.J]
+            slope = torch.einsum("cnm,cn->cm", self.J, r) - (self.mode - x) / rho**2
+            step = torch.stack([A.solve(b) for A, b in zip(self.curvature, slope)])
+            for share in (1.0, 0.5, 0.25, 0.1):
+                new = target(self.mode + share * step)
+                if new > best:
+                    self.mode, best = self.mode + share * step, new
+                    break
+            else:
+                break
+
+    def draw(self, noise: torch.Generator) -> torch.Tensor:
+        """A draw of N(0, A^-1), (3, M)."""
+        return torch.stack([A.draw(noise) for A in self.curvature])
+
+    def image(self, offset: torch.Tensor) -> torch.Tensor:
+        """J offset (3, n)."""
+        return torch.stack([J @ d for J, d in zip(self.J, offset)])
+
+    def energy(self, offset: torch.Tensor, image: torch.Tensor) -> float:
+        """offset^T A offset / 2, given its image."""
+        return 0.5 * (float(offset.square().sum()) / self.rho**2 + float(image.square().sum()))
+
+
+def elliptical_slice(z: torch.Tensor, target, reference: Laplace, slices: int, rng, noise) -> torch.Tensor:
+    """`slices` steps that leave exp(target) unchanged; `reference` only decides how well they mix (Nishihara et al. 2014)."""
+    offset = z - reference.mode
+    image = reference.image(offset)
+    now = target(z) + reference.energy(offset, image)
+    for _ in range(slices):
+        level, fresh = now + np.log(rng.random()), reference.draw(noise)
+        fresh_image, angle = reference.image(fresh), rng.uniform(0, 2 * np.pi)
+        low, high = angle - 2 * np.pi, angle
+        while True:
+            c, s = np.cos(angle), np.sin(angle)
+            turned, turned_image = c * offset + s * fresh, c * image + s * fresh_image
+            then = target(reference.mode + turned) + reference.energy(turned, turned_image)
+            if then > level:
+                offset, image, now = turned, turned_image, then
+                break
+            low, high = (angle, high) if angle < 0 else (low, angle)
+            if high - low < 1e-6:                           # numerically back at z
+                break
+            angle = rng.uniform(low, high)
+    return reference.mode + offset
+
+
+def draw_light(likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, slices: int, rng, noise) -> torch.Tensor:
+    """z | x: codes (3, M)."""
+    reference = Laplace(likelihood, x, z, rho)
+    target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
+    return elliptical_slice(z, target, reference, slices, rng, noise)
+
+
+def draw_prior(prior, z: torch.Tensor, rho: float, steps: int, label, rng, noise, end: float = 0.01) -> torch.Tensor:
+    """x | z: ancestral sampling from noise level rho, where z is the noisy code, to none; codes (1, 3, h, w).
+
+    Each step draws from q(x_s | x_t, x_0 = D(x_t)) in EDM's variance-exploding form, under a random roll (DPI, Eq. 19).
+    """
+    levels = np.append(np.geomspace(rho, min(end, 0.5 * rho), steps), 0.0)
+    x = z
+    for t, s in zip(levels[:-1], levels[1:]):
+        columns = int(rng.integers(x.shape[-1]))
+        clean = prior.denoise(x.roll(columns, -1), float(t), label).roll(-columns, -1)
+        keep = (s / t) ** 2
+        x = clean + keep * (x - clean) + s * np.sqrt(1 - keep) * torch.randn(x.shape, generator=noise)
+    return x
+
+
+def prior_steps(rho: float) -> int:
+    """Network calls of x | z: more where the gap is wide."""
+    return int(np.clip(round(4 + 4 * np.log10(rho / 0.02)), 3, 14))
