@@ -14,6 +14,7 @@ import torch
 
 from ..config import Sample
 from ..optics import Explanation
+from ..prior import load_prior
 from ..prior.code import scale_of
 from ..progress import Bar
 from ..transport import Transport, choose_rows
@@ -105,12 +106,10 @@ class Chain:
 
     def search(self) -> np.ndarray:
         """Materials to start from, by evidence; the light (M, 3) that goes with them."""
-        search = Search(self.photos, self.log_scale, self.settings.search_points, self.rng)
-        self.theta, log_light = search.run(self.theta, self.settings.search_tries, self.rng)
-        light = np.exp(log_light.numpy()).T
-        code = self.prior.encode((light / np.exp(self.log_scale)).reshape(self.prior.height, self.prior.width, 3).astype(np.float32))
-        self.start_code = code
-        return light.astype(np.float64)
+        search = Search(self.photos, load_prior(self.settings.search_prior), self.log_scale, self.settings.search_points, self.rng)
+        self.theta, code = search.run(self.theta, self.settings.search_tries, self.rng)
+        self.start_code = code.reshape(1, 3, self.prior.height, self.prior.width)
+        return self.coded.light(code)
 
     def colour(self, light: np.ndarray):
         U, W = self.photos.predict(light)

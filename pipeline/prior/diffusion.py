@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import torch
 
@@ -20,18 +17,11 @@ class DiffusionPrior:
         self.model, self.code, self.height, self.width = model.eval().requires_grad_(False), code, height, 2 * height
 
     @classmethod
-    def load(cls, path: Path) -> "DiffusionPrior":
-        """Read a .safetensors file written by pipeline.prior.export."""
-        from safetensors import SafetensorError, safe_open
-        try:
-            with safe_open(str(path), "pt") as file:
-                facts = json.loads((file.metadata() or {})["heliograph"])
-                state = {k: file.get_tensor(k).float() for k in file.keys()}
-            model = Denoiser(**facts["network"])
-            model.load_state_dict(state)
-        except (SafetensorError, KeyError, RuntimeError, OSError, TypeError) as error:
-            raise InputError(f"not a Heliograph light prior ({type(error).__name__}: {error})", path,
-                             "give a file written by `python -m pipeline.prior.export`") from error
+    def from_file(cls, file, facts: dict) -> "DiffusionPrior":
+        """From an open .safetensors file written by pipeline.prior.export."""
+        state = {k: file.get_tensor(k).float() for k in file.keys()}
+        model = Denoiser(**facts["network"])
+        model.load_state_dict(state)
         return cls(model, Code(facts["mean"], facts["std"]), facts["height"])
 
     @property
