@@ -1,5 +1,5 @@
 """Refine: one sample's materials at full texture size, with the light's shape held (DPI, Eq. 17); held-out score."""
-from pipeline.files import report_metrics, stage_folder
+from pipeline.files import read_json, report_metrics, stage_folder
 from pipeline.stage import stage
 
 
@@ -16,7 +16,8 @@ def work(s):
         rows = sample.light.shape[0]
         problem = load_problem(*folders, s.scene, settings.texture, rows)
         small = load_problem(*folders, s.scene, min(COARSE, settings.texture), rows)
-        refined, facts = refine(problem, small, sample, settings, s.args.index)
+        drawn = read_json(s.args.sample / "sample.json").get("scale_drawn", False)
+        refined, facts = refine(problem, small, sample, settings, s.args.index, rescale=not drawn)
         refined.save(out)
         scores = score_held_out(problem, refined, s.args.poses, s.args.mesh, s.scene.observe.erode, 2 * s.scene.report.spp)
         report_metrics(out / "refine.json", {"index": s.args.index} | facts | scores | s.costs())

@@ -26,7 +26,7 @@ from .evidence import Search
 from .regions import group, texel_regions
 from .split_gibbs import SLICES, draw_light, draw_prior, prior_steps, widths
 
-FIRST, LAST = 1.0, 0.03     # widths of the splitting in code units, where the prior's deviation is 0.5
+FIRST, LAST = 3.0, 0.03     # widths of the splitting in code units, where the prior's deviation is 0.5
 WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
 
@@ -172,7 +172,7 @@ def split_gibbs(problem: Problem, prior, start: Explanation, settings: Sample, s
     x = chain.run(seed)
     light = chain.coded.radiance(x.reshape(3, -1)).T.reshape(prior.height, prior.width, 3).numpy().astype(np.float32)
     photos, theta = chain.photos, chain.theta
-    facts = {"scale": float(np.exp(chain.log_scale)), "rows": len(photos.rows.point), "points": len(photos.region),
+    facts = {"scale": float(np.exp(chain.log_scale)), "scale_drawn": True, "rows": len(photos.rows.point), "points": len(photos.region),
              "relative_error": photos.eta, "design_effect": photos.kappa,
              "regions": [{"base_color": theta.mu[r].tolist(), "spread": float(theta.tau[r]), "metallic": float(theta.m[r]),
                           "roughness": photos.lobes.levels[theta.level[r]], "points": int((photos.region == r).sum())}

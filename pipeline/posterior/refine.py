@@ -129,11 +129,14 @@ def light_scale(problem: Problem, x: Explanation, pixels: int, rng) -> float:
     return float((weight * 0.5 * (a + b) * obs.rgb[index]).sum() / np.maximum((weight * a * b).sum(), 1e-9))
 
 
-def refine(problem: Problem, small: Problem, x: Explanation, settings: Refine, seed: int) -> tuple[Explanation, dict]:
-    """Run Eq. 17 from a sample `x`. `problem` renders at full texture size, `small` at COARSE. Returns maps and facts."""
+def refine(problem: Problem, small: Problem, x: Explanation, settings: Refine, seed: int, rescale: bool = True) -> tuple[Explanation, dict]:
+    """Run Eq. 17 from a sample `x`. `problem` renders at full texture size, `small` at COARSE. Returns maps and facts.
+
+    rescale: whether the light's scale is refined; not where the sampler drew it.
+    """
     rng = np.random.default_rng([977, seed])
     coarse = resize_explanation(x, small.renderer.texture)
-    scale = float(np.clip(light_scale(small, coarse, 8 * settings.pixels, rng), 0.5, 2.0))
+    scale = float(np.clip(light_scale(small, coarse, 8 * settings.pixels, rng), 0.5, 2.0)) if rescale else 1.0
     light = (x.light * scale).astype(np.float32)
     coarse, losses = replace(coarse, light=light), []
     coarse, before = base_color_block(small, coarse, 4, rng)

@@ -1,0 +1,143 @@
+"""The sampler against posteriors known in closed form."""
+import numpy as np
+import pytest
+import torch
+
+from pipeline.posterior.split_gibbs import Curvature, draw_light, draw_prior, prior_steps, widths
+from pipeline.prior.code import Code
+from pipeline.prior.gaussian import OPPONENT, GaussianPrior, spectra
+
+
+@pytest.fixture
+def gaussian():
+    """A Gaussian prior over 4x8 codes with correlated pixels and a mean."""
+    rng = np.random.default_rng(0)
+    root = torch.from_numpy(rng.normal(size=(3, 5, 4, 4)) * 0.2).float()
+    covariance = root @ root.transpose(-1, -2) + 0.02 * torch.eye(4)
+    return GaussianPrior(torch.linspace(-0.3, 0.3, 12).reshape(3, 4), covariance, Code(-0.5, 1.3))
+
+
+def dense(prior: GaussianPrior) -> torch.Tensor:
+    """Covariance (96, 96) by applying it to every unit vector."""
+    size = 3 * prior.height * prior.width
+    return prior.filtered(torch.eye(size).reshape(size, 3, prior.height, prior.width), lambda v: v).reshape(size, size)
+
+
+class Linear:
+    """y_c = J_c z_c + noise of deviation 1."""
+
+    def __init__(self, J, y):
+        self.J, self.y = J, y
+
+    def value(self, z):
+        return -0.5 * float((self.y - torch.einsum("cnm,cm->cn", self.J, z)).square().sum())
+
+    def expansion(self, z):
+        return self.J, self.y - torch.einsum("cnm,cm->cn", self.J, z)
+
+
+def chain(prior, likelihood, rhos, seed):
+    """One draw, as in pipeline/posterior/ours.py without materials."""
+    rng, noise = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
+    shape = (1, 3, prior.height, prior.width)
+    x = draw_prior(prior, 20 * torch.randn(shape, generator=noise), 20.0, 10, None, rng, noise)
+    z = x.reshape(3, -1)
+    for rho in rhos:
+        z = draw_light(likelihood, x.reshape(3, -1), z, float(rho), 2, rng, noise)
+        x = draw_prior(prior, z.reshape(shape), float(rho), prior_steps(rho), None, rng, noise)
+    return x.reshape(-1)
+
+
+def test_denoiser_is_the_conditional_mean(gaussian):
+    """Closed form against dense linear algebra."""
+    C = dense(gaussian)
+    x, mean = torch.randn(1, 3, 4, 8, generator=torch.Generator().manual_seed(1)), gaussian.mean.expand(1, 3, 4, 8).reshape(-1)
+    expected = mean + C @ torch.linalg.solve(C + 0.49 * torch.eye(96), x.reshape(-1) - mean)
+    assert torch.allclose(gaussian.denoise(x, 0.7).reshape(-1), expected, atol=1e-4)
+
+
+def test_spectra_recover_the_covariance(gaussian):
+    codes = gaussian.sample(4000, torch.Generator().manual_seed(0)).numpy()
+    mean, covariance = spectra(codes, np.ones(len(codes)))
+    again = GaussianPrior(mean, covariance, gaussian.code)
+    assert torch.allclose(OPPONENT @ OPPONENT.T, torch.eye(3), atol=1e-6)
+    assert float((dense(again) - dense(gaussian)).norm() / dense(gaussian).norm()) < 0.1
+
+
+def test_basis_spans_the_mean_covariance(gaussian):
+    """All components together give back one channel's covariance, averaged over channels."""
+    B = gaussian.basis(32)
+    C = dense(gaussian).reshape(3, 32, 3, 32)
+    assert torch.allclose(B @ B.T, sum(C[c, :, c] for c in range(3)) / 3, atol=1e-4)
+
+
+@pytest.mark.parametrize("n", [5, 40])
+def test_curvature_solves_and_draws(n):
+    """Both sides of Woodbury: solution, determinant, and the covariance of the draws."""
+    noise = torch.Generator().manual_seed(0)
+    J, s = torch.randn(n, 12, generator=noise), 0.4
+    A = J.T @ J + torch.eye(12) / s**2
+    curvature, b = Curvature(J, s), torch.randn(12, generator=noise)
+    assert curvature.dual == (n < 12)
+    assert torch.allclose(curvature.solve(b), torch.linalg.solve(A, b), atol=1e-4)
+    assert abs(curvature.log_determinant() - float(torch.logdet(s**2 * A))) < 1e-2
+    draws = torch.stack([curvature.draw(noise) for _ in range(6000)])
+    assert float((torch.cov(draws.T) - torch.linalg.inv(A)).norm() / torch.linalg.inv(A).norm()) < 0.12
+
+
+def test_gaussian_posterior_in_closed_form(gaussian):
+    """Mean and variance of 200 independent draws against the exact posterior.
+
+    Annealing in finite time leaves a bias, held to .15 posterior deviations here (.09 measured); the last width adds its
+    own variance where the data bind most.
+    """
+    noise = torch.Generator().manual_seed(3)
+    J = 1.5 * torch.randn(3, 10, 32, generator=noise)
+    truth = gaussian.sample(1, noise).reshape(3, -1)
+    likelihood = Linear(J, torch.einsum("cnm,cm->cn", J, truth) + torch.randn(3, 10, generator=noise))
+    C, whole = dense(gaussian) + 1e-6 * torch.eye(96), torch.block_diag(*J)
+    precision = torch.linalg.inv(C.double()) + (whole.T @ whole).double()
+    covariance = torch.linalg.inv(precision)
+    prior_mean = gaussian.mean.expand(1, 3, 4, 8).reshape(-1).double()
+    mean = covariance @ (torch.linalg.inv(C.double()) @ prior_mean + whole.T.double() @ likelihood.y.reshape(-1).double())
+    draws = torch.stack([chain(gaussian, likelihood, widths(24, 10.0, 0.03, 4), k) for k in range(200)]).double()
+    bias = (draws.mean(0) - mean) / covariance.diagonal().sqrt()
+    assert float(bias.square().mean()) - 1 / len(draws) < 0.15**2
+    ratio = draws.var(0) / covariance.diagonal()
+    assert 0.85 < float(ratio.mean()) < 1.15
+    seen = torch.linalg.eigh(whole.T.double() @ whole.double())[1][:, -12:]      # where the data bind, and not only on average
+    bound = (draws @ seen).var(0) / (seen.T @ covariance @ seen).diagonal()
+    assert 0.7 < float(bound.mean()) < 1.35
+
+
+class TwoModes:
+    """Every pixel the same value, near -1 or near +1 with equal odds, deviation .15: closed-form denoiser."""
+    height, width, spread = 2, 4, 0.15
+
+    def denoise(self, x, sigma, label=None):
+        size, v = x[0].numel(), self.spread**2
+        total = x.reshape(len(x), -1).sum(1)
+        shrink = v / (sigma**2 + size * v)                                   # pixels share one value: mu + spread e
+        odds = torch.sigmoid(2 * total / (sigma**2 + size * v))
+        mean = [m + shrink * (total - size * m) for m in (-1.0, 1.0)]
+        return (odds * mean[1] + (1 - odds) * mean[0])[:, None, None, None].expand_as(x).clone()
+
+
+def test_both_modes_with_their_weights():
+    """A likelihood that prefers the upper mode 7 : 3 and says nothing else; weights within binomial error."""
+    class Tilt:
+        def value(self, z):
+            return 0.5 * np.log(7 / 3) * float(z.mean())
+
+        def expansion(self, z):                                              # only the reference: any will do
+            return torch.zeros(3, 1, z.shape[1]), torch.zeros(3, 1)
+    draws = torch.stack([chain(TwoModes(), Tilt(), widths(20, 10.0, 0.1, 2), k).mean() for k in range(300)])
+    assert abs(float((draws > 0).float().mean()) - 0.7) < 3 * (0.21 / 300) ** 0.5
+    assert 0.1 < float(draws[draws > 0].std()) < 0.2
+
+
+def test_a_draw_depends_on_its_seed_only(gaussian):
+    likelihood = Linear(torch.ones(3, 1, 32), torch.zeros(3, 1))
+    first = chain(gaussian, likelihood, widths(3, 1.0, 0.1, 0), 5)
+    chain(gaussian, likelihood, widths(3, 1.0, 0.1, 0), 6)
+    assert torch.equal(first, chain(gaussian, likelihood, widths(3, 1.0, 0.1, 0), 5))

@@ -1,0 +1,179 @@
+"""The linear operator against the path tracer, and the likelihood against dense linear algebra."""
+import numpy as np
+import pytest
+import torch
+
+from pipeline.optics import Explanation, Renderer
+from pipeline.posterior.likelihood import Lobes, Photos, Theta, design_effect, mix
+from pipeline.posterior.problem import SHADE
+from pipeline.transport import LOBES, Rows, Transport, bilinear, centre_rays, choose_rows, lobe
+from pipeline.runtime import mitsuba as mi
+import drjit as dr
+
+MATERIALS = [(0.15, 0.0, 0.5), (0.7, 0.0, 0.8), (0.25, 1.0, 0.7), (0.5, 0.4, 0.3)]          # roughness, metallic, base colour
+
+
+@pytest.fixture(scope="module")
+def scene(ball, tmp_path_factory):
+    """Renderer, observations of the ball by a ring of cameras under a light with a lamp, and that light."""
+    from pipeline.cameras import Rig, View, save_cameras
+    from pipeline.observe import Observations
+    from tests.conftest import look_at
+    renderer = Renderer(ball / "mesh_uv.ply", 32, 8, 4)
+    views = []
+    for k in range(8):
+        a = 2 * np.pi * k / 8
+        views.append(View(f"v{k}", "", 48, 48, 70, 70, 24, 24, look_at([3 * np.sin(a), 1.2, 3 * np.cos(a)])))
+    folder = tmp_path_factory.mktemp("seen")
+    save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.8, "transforms.json"))
+    light = np.random.default_rng(1).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
+    light[2, 5] = 12
+    columns = {"view": [], "pixel": [], "cosine": []}
+    from pipeline.observe import Tracer
+    tracer = Tracer(ball / "mesh_uv.ply")
+    for k, v in enumerate(views):
+        rows, cols = np.mgrid[0:48, 0:48].reshape(2, -1)
+        uv, cosine, hit = tracer.hit(*v.rays(np.stack([cols + 0.5, rows + 0.5], -1)))
+        columns["view"].append(np.full(hit.sum(), k))
+        columns["pixel"].append(np.stack([cols, rows], -1)[hit])
+        columns["cosine"].append(cosine[hit])
+    table = {n: np.concatenate(c) for n, c in columns.items()}
+    n = len(table["view"])
+    np.savez(folder / "observations.npz", **table, rgb=np.zeros((n, 3), np.float32), clipped=np.zeros(n, bool),
+             uv=np.zeros((n, 2), np.float32), views=np.array([v.name for v in views]), held_out=np.array([], str))
+    return renderer, Observations(folder, folder / "cameras.json"), light
+
+
+@pytest.fixture(scope="module")
+def transport(scene, ball):
+    renderer, observations, _ = scene
+    rows = choose_rows(observations, renderer.scene, 40, 3, 0)
+    return Transport(renderer.scene, ball / "mesh_uv.ply", observations, rows, 8, 20, 0)
+
+
+def test_lobes_make_the_principled_bsdf():
+    """f = (1 - m)(a A + S) + m (a M1 + (1 - a) M0) to rounding."""
+    rng, n = np.random.default_rng(0), 2000
+    wi, wo = rng.normal(size=(2, 3, n))
+    wi, wo = (w / np.linalg.norm(w, axis=0) for w in (wi, wo))
+    wi[2], wo[2] = abs(wi[2]), abs(wo[2])
+    si = dr.zeros(mi.SurfaceInteraction3f, n)
+    si.wi, out = mi.Vector3f(wi.astype(np.float32)), mi.Vector3f(wo.astype(np.float32))
+    value = lambda m, a, r: np.array(lobe(m, a, r).eval(mi.BSDFContext(), si, out)[0])
+    for r, m, a in MATERIALS:
+        black = value(0.0, 0.0, r)
+        parts = np.stack([value(0.0, 1.0, r) - black, black, value(1.0, 1.0, r), value(1.0, 0.0, r)])
+        U, W = mix(parts, m)
+        np.testing.assert_allclose(a * U + W, value(m, a, r), rtol=2e-3, atol=2e-5)
+    assert len(LOBES) == 4
+
+
+def test_rows_are_grouped_by_point_one_pixel_per_view(scene, transport):
+    rows, observations = transport.rows, scene[1]
+    assert (np.diff(rows.point) >= 0).all() and len(rows.starts) == 40
+    spread = [np.ptp(transport.position[rows.point == p], axis=0).max() for p in range(40)]
+    assert max(spread) < 0.15                                                # pixels are about .04 wide at the ball
+    for p in range(40):
+        seen = observations.view[rows.observation[rows.point == p]]
+        assert 1 <= len(seen) <= 3 and len(set(seen)) == len(seen)
+
+
+def test_bilinear_weights_reproduce_a_smooth_light():
+    from pipeline.envmap import directions
+    d = directions(8, 16).reshape(-1, 3)
+    index, weight = bilinear(d, 8)
+    values = np.random.default_rng(0).normal(size=128)
+    np.testing.assert_allclose((values[index] * weight).sum(1), values, atol=1e-6)            # pixel centres
+    assert np.allclose(bilinear(np.random.default_rng(1).normal(size=(50, 3)), 8)[1].sum(1), 1)
+
+
+@pytest.mark.parametrize("r,m,a", MATERIALS)
+def test_operator_equals_path_tracer(scene, transport, r, m, a):
+    """A convex ball has direct light only; differences are Monte-Carlo error of both."""
+    renderer, observations, light = scene
+    F, off = transport.at(r, 1)
+    U, W = mix(F @ light.reshape(-1, 3), m)
+    constant = lambda v, *shape: np.full((32, 32) + shape, v, np.float32)
+    renderer.set(Explanation(light, constant(a, 3), constant(r), constant(m)))
+    o, d = centre_rays(observations, transport.rows.observation)
+    truth = renderer.mean_radiance(lambda rng: (o, d), 512, 0)
+    assert abs((a * U + W).mean() / truth.mean() - 1) < 0.02
+    assert np.abs(a * U + W - truth).mean() / truth.mean() < 0.06
+    assert off[0].nnz < 0.01 * len(o) * len(transport.d)                        # next to no light off itself
+
+
+def test_light_between_parts_adds_up():
+    """Two facing nodes that each see half the light: the series of bounces against the closed form."""
+    t = object.__new__(Transport)
+    t.node_point, t.sees = np.array([0, 1]), np.array([[0.5], [0.5]])
+    t.between = np.array([[0.0, 0.5], [0.5, 0.0]])
+    B = t.exitant(np.ones((1, 3)), np.full((2, 3), 0.6), 60)
+    np.testing.assert_allclose(B, 0.3 / (1 - 0.3), atol=1e-9)
+    np.testing.assert_allclose(t.exitant(np.ones((1, 3)), np.full((2, 3), 0.6), 1), 0.3)
+
+
+@pytest.fixture(scope="module")
+def photos(transport):
+    rng = np.random.default_rng(2)
+    lobes = Lobes(transport, 0.2, 0)
+    n = len(transport.rows.point)
+    out = Photos(transport, lobes, rng.uniform(0.1, 1.0, (n, 3)), np.zeros(n, bool), rng.integers(0, 2, 40), 1)
+    out.eta, out.kappa, out.weight = 0.2, 1.7, rng.uniform(0.5, 2, n)
+    out.set(Theta(rng.uniform(0.2, 0.7, (2, 3)), np.array([0.1, 0.5]), np.array([1, 4]), np.array([0.0, 0.8])))
+    return out
+
+
+def dense_value(photos, light) -> float:
+    """log N(y; mu U + W, kappa (D + v' U U')) without the noise's constants; v' keeps v U U' / kappa out of the tempering."""
+    U, W = photos.predict(light)
+    total = 0.0
+    for p in range(len(photos.region)):
+        k, r = photos.rows.point == p, photos.region[p]
+        for c in range(3):
+            mu, v = photos.theta.mu[r, c], (photos.theta.tau[r] * photos.theta.mu[r, c]) ** 2
+            D = np.diag(photos.kappa * (photos.eta * (photos.observed[k, c] + SHADE)) ** 2 / photos.weight[k])
+            S, e = D + v * np.outer(U[k, c], U[k, c]), photos.y[k, c] - mu * U[k, c] - W[k, c]
+            total -= 0.5 * (e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1] - np.linalg.slogdet(D)[1])
+    return total
+
+
+def test_colour_is_integrated_out_exactly(photos, scene):
+    light = scene[2].reshape(-1, 3).astype(float)
+    assert abs(photos.value(light) - dense_value(photos, light)) < 1e-6 * abs(photos.value(light)) + 1e-6
+
+
+def test_whitened_rows_have_the_likelihoods_curvature(photos, scene):
+    """Without spread of colour the likelihood is quadratic in the light, and -|y - T L|^2 / 2 is all of it."""
+    flat = photos.theta.copy()
+    flat.tau[:] = 1e-6
+    kept, _ = photos.theta, photos.set(flat)
+    light, other = scene[2].reshape(-1, 3).astype(float), np.random.default_rng(5).uniform(0.1, 2, (128, 3))
+    T, y = photos.whitened(light)
+    square = lambda L: -0.5 * float((y - torch.einsum("cnm,cm->cn", T, torch.from_numpy(L.T.astype(np.float32)))).square().sum())
+    assert abs((square(light) - square(other)) - (photos.value(light) - photos.value(other))) < 1e-3 * abs(photos.value(other))
+    photos.set(kept)
+
+
+def test_drawn_colours_and_noise_recover_the_truth(photos, scene):
+    """Rows made from known colours and noise: colours within error bars, eta within 10 %."""
+    rng, light = np.random.default_rng(0), scene[2].reshape(-1, 3).astype(float)
+    U, W = photos.predict(light)
+    truth = np.clip(photos.theta.mu[photos.region] * (1 + photos.theta.tau[photos.region, None] * rng.normal(size=(40, 3))), 0.02, 0.95)
+    clean = truth[photos.rows.point] * U + W
+    photos.y = photos.observed = clean / (1 - 0.05 * np.clip(rng.normal(size=clean.shape), -3, 3))
+    photos.kappa, photos.weight, photos.eta = 1.0, np.ones(len(clean)), 0.3
+    for _ in range(30):
+        colour = photos.draw_colour(U, W, photos.theta, rng)
+        photos.draw_noise(U, W, colour, rng)
+    assert np.median(np.abs(colour / truth - 1)) < 0.1
+    assert 0.02 < photos.eta < 0.055                                         # t residuals with clipped normal noise
+
+
+def test_design_effect_sees_correlation():
+    """Independent residuals count fully; residuals shared by neighbours count once."""
+    rng = np.random.default_rng(0)
+    position = np.concatenate([rng.uniform(0, 1, (400, 2)), np.zeros((400, 1))], 1)
+    rows, view = Rows(np.arange(400), np.arange(400)), np.zeros(400, int)
+    alone = design_effect(rows, position, view, rng.normal(size=400))
+    smooth = np.sin(7 * position[:, 0]) + np.cos(5 * position[:, 1])
+    assert alone < 1.5 and design_effect(rows, position, view, smooth) > 8
