@@ -39,6 +39,7 @@ class Poses(Section):
         "auto", description="auto: exhaustive up to 60 photos, then sequential with loop closure by overlap")
     camera: Literal["auto", "single", "per_image"] = Field("auto", description="auto: one camera if sizes and EXIF agree")
     min_registered: float = Field(0.9, gt=0, le=1, description="below this share a second, more thorough attempt is made")
+    match_exposure: bool = Field(True, description="divide out brightness that matched points show beyond EXIF, if it is much")
     object_size: float | None = Field(None, gt=0, description="object's diameter in metres; none: unit-size asset")
     up: Literal["auto", "none"] = Field("auto", description="auto: turn the estimated gravity to +Y")
     seed: int = Field(0, ge=0)

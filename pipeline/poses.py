@@ -19,6 +19,7 @@ from .errors import InputError
 from .files import read_json
 from .given_cameras import Lens, check_shape, poses_of_model, read_transforms
 from .images import read_exr, write_exr, write_png
+from .photometry import match_exposure
 from .progress import progress
 from .sfm import HINT, reconstruct, sparse_points
 
@@ -256,6 +257,9 @@ def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: 
     lenses = [lens.at(p["width"], p["height"]) for lens, p in zip(lenses, kept)]
     facts["unregistered"] = [p["name"] for p in photos if p["name"] not in {k["name"] for k in kept}]
     views = write_views(capture, out, kept, lenses, poses)
+    if settings.match_exposure:
+        views, matched = match_exposure(views, out, points)
+        facts |= matched
     np.savez_compressed(out / "points.npz", **points)
     save_cameras(out / "cameras.json", Rig(views, center, radius, facts["source"], facts))
     return {"registered": len(kept), "photos": len(photos), "points": len(points["xyz"]), "radius": radius} | facts
