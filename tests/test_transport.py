@@ -148,7 +148,7 @@ def test_whitened_rows_have_the_likelihoods_curvature(photos, scene):
     flat.tau[:] = 1e-6
     kept, _ = photos.theta, photos.set(flat)
     light, other = scene[2].reshape(-1, 3).astype(float), np.random.default_rng(5).uniform(0.1, 2, (128, 3))
-    T, y = photos.whitened(light)
+    T, y, _ = photos.whitened(light)
     square = lambda L: -0.5 * float((y - torch.einsum("cnm,cm->cn", T, torch.from_numpy(L.T.astype(np.float32)))).square().sum())
     assert abs((square(light) - square(other)) - (photos.value(light) - photos.value(other))) < 1e-3 * abs(photos.value(other))
     photos.set(kept)

@@ -43,7 +43,7 @@ class Search:
         chosen = np.concatenate([c[:max(8, round(share * len(c)))] for c in chosen])    # small regions have a say too
         self.photos, self.log_scale, self.prior = subset(photos, chosen), log_scale, gaussian
         self.B = gaussian.basis(COMPONENTS)
-        self.mean = gaussian.mean.expand(1, 3, gaussian.height, gaussian.width).reshape(3, -1)
+        self.mean = gaussian.flat_mean
 
     def code(self, c: torch.Tensor) -> torch.Tensor:
         """Code (3, M) of coefficients (3, k)."""
@@ -59,7 +59,7 @@ class Search:
         for _ in range(STEPS):
             photos.set(theta)
             L = self.radiance(c)
-            T, y = photos.whitened(L.T.numpy().astype(np.float64))
+            T, y, _ = photos.whitened(L.T.numpy().astype(np.float64))
             J = torch.stack([(t * (self.prior.log_spread * l)) @ self.B for t, l in zip(T, L)])
             residual = y - torch.einsum("cnm,cm->cn", T, L)
             A = [Curvature(j, 1.0) for j in J]
@@ -84,7 +84,7 @@ class Search:
         return out
 
     def run(self, theta: Theta, tries: int, rng: np.random.Generator) -> tuple[Theta, torch.Tensor]:
-        """Theta and the light's code (3, M) after `tries` proposals per region."""
+        """Theta and the light's coefficients (3, k) after `tries` proposals per region."""
         c = torch.zeros(3, self.B.shape[1])
         for _ in range(3):
             now, theta, c = self.solve(theta, c)
@@ -99,4 +99,4 @@ class Search:
                 then, new, new_c = self.solve(new, c)
                 if np.log(rng.random()) < then - now:
                     theta, c, now = new, new_c, then
-        return theta, self.code(c)
+        return theta, c

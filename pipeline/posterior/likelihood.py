@@ -130,14 +130,17 @@ class Photos:
     def value(self, light: np.ndarray) -> float:
         return float(self.point_values(*self.predict(light), self.theta).sum())
 
-    def whitened(self, light: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """T (3, n, M) and y (3, n): log-likelihood ~ -|y - T L|^2 / 2 near `light`, for the direct part of the transport."""
+    def whitened(self, light: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """T (3, n, M), y (3, n), V (3, n, R): log-likelihood ~ -|y - T L - V d|^2 / 2 for lights L near `light` and
+        regions whose log mean colour moves by d; T is the direct part of the transport.
+        """
         theta, (U, _) = self.theta, self.predict(light)
         mu, nodes = theta.mu[self.row_region], self.nodes(light, theta)
         direct = self.y - mu * (self.off[0] @ nodes) - self.off[1] @ nodes
         v = (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
         root, T, y = np.sqrt(self.precision / self.kappa), torch.empty((3,) + self.U.shape), torch.empty(3, len(mu))
-        segment = torch.from_numpy(self.rows.point)
+        segment, V = torch.from_numpy(self.rows.point), torch.zeros(3, len(mu), len(theta.m))
+        owner = np.arange(len(mu)), self.row_region
         for c in range(3):
             u = root[:, c] * U[:, c]
             norm = np.maximum(np.add.reduceat(u * u, self.starts), 1e-30)
@@ -148,7 +151,9 @@ class Photos:
             t = (torch.from_numpy(mu[:, c:c + 1].astype(np.float32)) * self.U + self.W) * scale
             rest = torch.from_numpy(direct[:, c:c + 1].astype(np.float32)) * scale
             T[c], y[c] = t - project(t), (rest - project(rest))[:, 0]
-        return T, y
+            V[c][owner] = torch.from_numpy((mu[:, c] * u).astype(np.float32))
+            V[c] -= project(V[c])
+        return T, y, V
 
     def draw_colour(self, U, W, theta: Theta, rng) -> np.ndarray:
         """Base colour of every point (p, 3) given everything else, within [0, ALBEDO_MAX]."""

@@ -21,48 +21,81 @@ from ..transport import Transport, choose_rows
 from .likelihood import Lobes, Photos, Theta, design_effect
 from .problem import Problem
 from .refine import fill, gather, splat
-from .region_moves import METALLIC, draw_gauge, draw_regions
-from .evidence import Search
+from .region_moves import BRIGHTNESS_PRIOR, METALLIC, draw_gauge, draw_regions, log_prior
+from .evidence import COMPONENTS, Search
 from .regions import group, texel_regions
 from .split_gibbs import SLICES, draw_light, draw_prior, prior_steps, widths
 
 FIRST, LAST = 3.0, 0.03     # widths of the splitting in code units, where the prior's deviation is 0.5
+COLOUR_SPREAD = 0.8         # deviation of log base colour in the reference Gaussian of the colours
 WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
 
 
 class CodedPhotos:
-    """The photos' likelihood as a function of the light's code z (3, M), the scale held (LightLikelihood)."""
+    """The photos' likelihood as a function of the light's code and the regions' mean colours (LightLikelihood).
 
-    def __init__(self, photos: Photos, prior, log_scale: float):
-        self.photos, self.prior, self.log_scale, self.equations = photos, prior, log_scale, None
+    z (3, k + R): k coefficients of the code (the code itself, or with a basis (M, k) and mean (3, M) the code is mean +
+    basis z), then log mean colours, scaled so that N(0, width^2) makes N(BRIGHTNESS_PRIOR, COLOUR_SPREAD^2): light and
+    colours trade against each other and must move together. The exact prior of the colours is part of `value`.
+    """
 
-    def radiance(self, z: torch.Tensor) -> torch.Tensor:
+    def __init__(self, photos: Photos, prior, log_scale: float, width: float, basis=None):
+        self.photos, self.prior, self.log_scale, self.width, self.basis = photos, prior, log_scale, width, basis
+
+    @property
+    def size(self) -> int:
+        return self.prior.height * self.prior.width if self.basis is None else self.basis.shape[1]
+
+    def join(self, code: torch.Tensor, theta: Theta) -> torch.Tensor:
+        """z of coefficients (3, k) and colours."""
+        log_mu = torch.from_numpy(np.log(theta.mu).T.astype(np.float32))
+        return torch.cat([code, (log_mu - BRIGHTNESS_PRIOR[0]) * (self.width / COLOUR_SPREAD)], 1)
+
+    def centre(self, code: torch.Tensor) -> torch.Tensor:
+        """What z is drawn about, for coefficients (3, k) drawn about `code`."""
+        return torch.cat([code, torch.zeros(3, len(self.photos.theta.m))], 1)
+
+    def colours(self, z: torch.Tensor) -> np.ndarray:
+        """(R, 3)"""
+        return np.exp(z[:, self.size:].T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + BRIGHTNESS_PRIOR[0])
+
+    def code(self, z: torch.Tensor) -> torch.Tensor:
         """(3, M)"""
-        shape = (1, 3, self.prior.height, self.prior.width)
-        return float(np.exp(self.log_scale)) * self.prior.decode(z.reshape(shape)).reshape(3, -1)
+        return z[:, :self.size] if self.basis is None else self.prior.flat_mean + z[:, :self.size] @ self.basis.T
 
-    def light(self, z: torch.Tensor) -> np.ndarray:
+    def radiance(self, code: torch.Tensor) -> torch.Tensor:
+        """(3, M) of a code (3, M)"""
+        shape = (1, 3, self.prior.height, self.prior.width)
+        return float(np.exp(self.log_scale)) * self.prior.decode(code.reshape(shape)).reshape(3, -1)
+
+    def light(self, code: torch.Tensor) -> np.ndarray:
         """(M, 3)"""
-        return self.radiance(z).T.numpy().astype(np.float64)
+        return self.radiance(code).T.numpy().astype(np.float64)
 
     def value(self, z: torch.Tensor) -> float:
-        return self.photos.value(self.light(z))
+        theta = self.photos.theta.copy()
+        theta.mu = self.colours(z)
+        prior = log_prior(theta).sum()
+        if not np.isfinite(prior):
+            return -np.inf
+        self.photos.set(theta)
+        return self.photos.value(self.light(self.code(z))) + prior + 0.5 * float(z[:, self.size:].square().sum()) / self.width**2
 
     def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gauss-Newton; the whitened rows are those of the first call after `changed`."""
+        """Gauss-Newton."""
+        theta = self.photos.theta.copy()
+        theta.mu = np.minimum(self.colours(z), 0.97)
+        self.photos.set(theta)
         with torch.enable_grad():
-            leaf = z.clone().requires_grad_(True)
+            leaf = self.code(z).clone().requires_grad_(True)
             L = self.radiance(leaf)
-            g, = torch.autograd.grad(L.sum(), leaf)                          # the code is elementwise
+            g, = torch.autograd.grad(L.sum(), leaf)                          # decoding is elementwise
         L = L.detach()
-        if self.equations is None:
-            self.equations = self.photos.whitened(L.T.numpy().astype(np.float64))
-        T, y = self.equations
-        return T * g[:, None, :], y - torch.einsum("cnm,cm->cn", T, L)
-
-    def changed(self) -> None:
-        self.equations = None
+        T, y, V = self.photos.whitened(L.T.numpy().astype(np.float64))
+        residual = y - torch.einsum("cnm,cm->cn", T, L)
+        T *= g[:, None, :]
+        return torch.cat([T if self.basis is None else T @ self.basis, V * (COLOUR_SPREAD / self.width)], 2), residual
 
 
 def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts: np.ndarray, levels) -> Theta:
@@ -95,7 +128,7 @@ class Chain:
         self.theta = start_materials(fit, self.obs.uv[rows.observation], region, starts, lobes.levels)
         self.width = np.full(len(self.theta.m), 0.05)
         self.centre = self.log_scale = float(np.log(scale_of(fit.light)))
-        self.coded = CodedPhotos(self.photos, prior, self.log_scale)
+        self.coded = CodedPhotos(self.photos, prior, self.log_scale, FIRST)
         light = self.search()
         self.photos.set(self.theta)
         for _ in range(3):
@@ -107,7 +140,8 @@ class Chain:
     def search(self) -> np.ndarray:
         """Materials to start from, by evidence; the light (M, 3) that goes with them."""
         search = Search(self.photos, load_prior(self.settings.search_prior), self.log_scale, self.settings.search_points, self.rng)
-        self.theta, code = search.run(self.theta, self.settings.search_tries, self.rng)
+        self.theta, self.start_coefficients = search.run(self.theta, self.settings.search_tries, self.rng)
+        code = search.code(self.start_coefficients)
         self.start_code = code.reshape(1, 3, self.prior.height, self.prior.width)
         return self.coded.light(code)
 
@@ -123,6 +157,23 @@ class Chain:
         self.photos.set(self.theta)
         colour, U, W = self.colour(light)
         self.photos.draw_noise(U, W, colour, self.rng)
+
+    def light_turn(self, coded: CodedPhotos, about: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
+        """Code (or coefficients) drawn about `about` together with the regions' colours; new coefficients (3, k)."""
+        z = draw_light(coded, coded.centre(about), coded.join(z, self.theta), coded.width, SLICES, self.rng, self.noise)
+        self.theta.mu = coded.colours(z)
+        self.photos.set(self.theta)
+        return z[:, :coded.size]
+
+    def turns_with_gaussian(self, count: int, prior) -> torch.Tensor:
+        """Light | rest with the Gaussian prior's components, in closed form but for the value code; the code (3, M)."""
+        coded = CodedPhotos(self.photos, prior, self.log_scale, 1.0, prior.basis(COMPONENTS))
+        c, nothing = self.start_coefficients, torch.zeros(3, COMPONENTS)
+        with torch.no_grad():
+            for _ in range(count):
+                c = self.light_turn(coded, nothing, c)
+                self.materials(coded.light(coded.code(c)), self.settings.region_steps)
+        return coded.code(c)
 
     def gauge(self, z: torch.Tensor, x: torch.Tensor, rho: float) -> torch.Tensor:
         """Light against base colour; returns z."""
@@ -143,13 +194,11 @@ class Chain:
             shape = (1, 3, prior.height, prior.width)
             z = self.start_code.reshape(3, -1)
             x = draw_prior(prior, self.start_code, FIRST, prior_steps(FIRST), s.label, self.rng, self.noise)
-            for rho in rhos:
-                flat = x.reshape(3, -1)
-                self.coded.changed()
-                z = draw_light(self.coded, flat, z, float(rho), SLICES, self.rng, self.noise)
-                z = self.gauge(z, flat, float(rho))
+            for rho in map(float, rhos):
+                flat, self.coded.width = x.reshape(3, -1), rho
+                z = self.gauge(self.light_turn(self.coded, flat, z), flat, rho)
                 self.materials(self.coded.light(z), s.region_steps)
-                x = draw_prior(prior, z.reshape(shape), float(rho), prior_steps(rho), s.label, self.rng, self.noise)
+                x = draw_prior(prior, z.reshape(shape), rho, prior_steps(rho), s.label, self.rng, self.noise)
                 bar.step(f"error {100 * self.photos.eta:.1f} %")
         return x
 
@@ -166,15 +215,27 @@ class Chain:
                 "roughness": levels[self.theta.level][region].astype(np.float32), "metallic": self.theta.m[region].astype(np.float32)}
 
 
+    def result(self, code: torch.Tensor, start: Explanation) -> tuple[Explanation, dict]:
+        """The draw as maps, and facts."""
+        photos, theta, h = self.photos, self.theta, self.prior.height
+        light = self.coded.radiance(code.reshape(3, -1)).T.reshape(h, 2 * h, 3).numpy().astype(np.float32)
+        facts = {"scale": float(np.exp(self.log_scale)), "scale_drawn": True, "rows": len(photos.rows.point),
+                 "points": len(photos.region), "relative_error": photos.eta, "design_effect": photos.kappa,
+                 "regions": [{"base_color": theta.mu[r].tolist(), "spread": float(theta.tau[r]), "metallic": float(theta.m[r]),
+                              "roughness": photos.lobes.levels[theta.level[r]], "points": int((photos.region == r).sum())}
+                             for r in range(len(theta.m))]}
+        return replace(start, light=np.ascontiguousarray(light), **self.maps(light, self.settings.texture)), facts
+
+
 def split_gibbs(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:
     """One posterior sample; `start` is the fit. Deterministic in `seed`: independent of other samples and of the process."""
     chain = Chain(problem, prior, start, settings, seed)
-    x = chain.run(seed)
-    light = chain.coded.radiance(x.reshape(3, -1)).T.reshape(prior.height, prior.width, 3).numpy().astype(np.float32)
-    photos, theta = chain.photos, chain.theta
-    facts = {"scale": float(np.exp(chain.log_scale)), "scale_drawn": True, "rows": len(photos.rows.point), "points": len(photos.region),
-             "relative_error": photos.eta, "design_effect": photos.kappa,
-             "regions": [{"base_color": theta.mu[r].tolist(), "spread": float(theta.tau[r]), "metallic": float(theta.m[r]),
-                          "roughness": photos.lobes.levels[theta.level[r]], "points": int((photos.region == r).sum())}
-                         for r in range(len(theta.m))]}
-    return replace(start, light=np.ascontiguousarray(light), **chain.maps(light, settings.texture)), facts
+    return chain.result(chain.run(seed), start)
+
+
+def gaussian(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:
+    """One posterior sample under the Gaussian prior `settings.search_prior`; `prior` gives the size of the light only."""
+    chain = Chain(problem, prior, start, settings, seed)
+    chain.prior = load_prior(settings.search_prior)
+    chain.coded = CodedPhotos(chain.photos, chain.prior, chain.log_scale, 1.0)
+    return chain.result(chain.turns_with_gaussian(max(settings.stay, 1), chain.prior), start)

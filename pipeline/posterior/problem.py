@@ -36,9 +36,10 @@ class Problem:
     def __init__(self, observations: Observations, renderer: Renderer, roughness_min: float):
         self.observations, self.renderer, self.roughness_min = observations, renderer, roughness_min
 
-    def batch(self, pixels: int, spp: int, rng: np.random.Generator) -> Batch:
+    def batch(self, pixels: int, spp: int, rng: np.random.Generator, view: int | None = None) -> Batch:
+        """Random pixels of all views, or of one."""
         obs = self.observations
-        index = rng.integers(len(obs), size=pixels)
+        index = rng.integers(len(obs), size=pixels) if view is None else rng.choice(np.flatnonzero(obs.view == view), pixels)
         o, d = obs.rays(np.broadcast_to(index, (spp, pixels)), rng)
         return Batch(index, o, d, obs.rgb[index], obs.clipped[index])
 
@@ -55,18 +56,21 @@ class Problem:
             return float((r**2).mean()), 2 * r / (batch.y + SHADE) / r.size
         return dloss
 
-    def gradient(self, x: Explanation, batch: Batch, seed: int) -> Gradient:
-        return self.renderer.gradient(x, batch.o, batch.d, len(batch.y), self.loss_and_slope(batch), seed)
+    def gradient(self, x: Explanation, batch: Batch, seed: int, loss=None) -> Gradient:
+        """Of the data term, or of another `loss(L) -> (value, slope in L)`."""
+        return self.renderer.gradient(x, batch.o, batch.d, len(batch.y), loss or self.loss_and_slope(batch), seed)
 
 
 class Materials:
     """Base colour, roughness, metallic as torch parameters under Adam, projected to their valid sets (Eqs. 15-17)."""
 
-    def __init__(self, x: Explanation, learning_rate: float, roughness_min: float, names=("base_color", "roughness", "metallic")):
+    def __init__(self, x: Explanation, learning_rate, roughness_min: float, names=("base_color", "roughness", "metallic")):
+        """learning_rate: one number, or one per name."""
         self.values = {n: torch.from_numpy(getattr(x, n).copy()) for n in ("base_color", "roughness", "metallic")}
         self.bounds = {"base_color": (0.0, ALBEDO_MAX), "roughness": (roughness_min, 1.0), "metallic": (0.0, 1.0)}
         self.names = names
-        self.optimizer = torch.optim.Adam([self.values[n] for n in names], learning_rate, betas=(0.9, 0.99))
+        rates = learning_rate if isinstance(learning_rate, dict) else dict.fromkeys(names, learning_rate)
+        self.optimizer = torch.optim.Adam([{"params": [self.values[n]], "lr": rates[n]} for n in names], betas=(0.9, 0.99))
 
     def step(self, gradient: Gradient) -> None:
         for n in self.names:

@@ -47,6 +47,11 @@ class GaussianPrior:
     def log_spread(self) -> float:
         return 2 * self.code.std
 
+    @property
+    def flat_mean(self) -> torch.Tensor:
+        """Mean code (3, M)."""
+        return self.mean.expand(1, 3, self.height, self.width).reshape(3, -1)
+
     def decode(self, x: torch.Tensor) -> torch.Tensor:
         return self.code.decode(x)
 

@@ -1,0 +1,122 @@
+"""What split_gibbs is compared with, on the same network and renderer: `dpi_code`, `sds`, `map` (`dpi_paper`: dpi.py).
+
+`dpi_code` is DPI as its authors released it, which differs from the paper (design note `method.md`, section 3), without
+the four defects listed there: every sample starts from its own state, every step has its own random numbers, the light
+stays floating point, and the wrap column is right. Constants tied to the authors' [0, 1] value code are carried over by
+RANGE, the width of our codes that theirs spans.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from ..config import Sample
+from ..envmap import resample_area, yaw_roll
+from ..optics import Explanation, resize_explanation
+from ..prior.code import scale_of
+from ..prior.schedule import ALPHA_BAR, T, posterior, sigma, subsequence
+from ..progress import Bar
+from .problem import Materials, Problem, step_seed
+
+RANGE = 2.0             # four standard deviations of our codes
+RATES = {"base_color": 0.02, "roughness": 0.015, "metallic": 0.01}
+GAUGE_EVERY = 50        # steps after which base colour and roughness are divided by their largest value
+SDS_LEVELS = (20, 600)  # steps of the schedule that score distillation draws from
+SDS_WEIGHT = 0.02       # of the prior's pull against the data term's
+
+
+def rho_code(t: int, outdoor: bool) -> float:
+    """The released guidance weight over s = t / T."""
+    s = t / T
+    if s >= 0.9:
+        return 0.01
+    if not outdoor:
+        return 0.1 if s >= 0.5 else 1.0
+    return 0.1 + 0.9 * (0.9 - s) / 0.4 if s >= 0.5 else 0.2 + 0.8 * s / 0.5
+
+
+def norm_loss(batch, indoor: bool):
+    """Un-squared L2 norm, of log(1 + y) indoors; a saturated pixel is no error where it is exceeded."""
+    def loss(L):
+        value, slope = (np.log1p(L), 1 / (1 + L)) if indoor else (L, np.ones_like(L))
+        r = value - (np.log1p(batch.y) if indoor else batch.y)
+        r = np.where(batch.clipped[:, None] & (r > 0), 0, r)
+        size = float(np.sqrt((r**2).sum()))
+        return size, r * slope / max(size, 1e-9)
+    return loss
+
+
+def tame(gradient: torch.Tensor) -> torch.Tensor:
+    """Divided by ten until no entry exceeds 0.1."""
+    biggest = float(gradient.abs().max())
+    return gradient / 10 ** max(0, int(np.ceil(np.log10(max(biggest, 1e-30) / 0.1))))
+
+
+def dpi_code(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:
+    """One sample by the released algorithm; arguments as `dpi_paper`."""
+    rng, noise = np.random.default_rng([settings.seed, seed]), torch.Generator().manual_seed(settings.seed * 100003 + seed)
+    outdoor, scale, views = settings.label != "indoor", scale_of(start.light), len(problem.observations.views)
+    first = resize_explanation(start, settings.texture)
+    first.base_color = np.full_like(first.base_color, 0.01)
+    materials, losses = Materials(first, RATES, problem.roughness_min), []
+    x, levels = torch.randn((1, 3, prior.height, prior.width), generator=noise), subsequence(settings.steps)
+    with Bar(f"sample {seed}", len(levels)) as bar:
+        for k, (t, s) in enumerate(zip(levels, list(levels[1:]) + [-1])):
+            columns = int(rng.integers(prior.width))
+            x = x.roll(columns, -1).requires_grad_(True)
+            x0 = prior.denoise(x / np.sqrt(ALPHA_BAR[t]), sigma(t), settings.label)
+            shaken = x0 + 0.05 * RANGE * torch.rand(x0.shape, generator=noise)
+            radiance = scale * prior.decode(shaken)[0]
+            light = np.ascontiguousarray(yaw_roll(radiance.detach().numpy().transpose(1, 2, 0), -columns))
+            guide, other = (problem.batch(settings.pixels, settings.spp, rng, int(v)) for v in rng.integers(views, size=2))
+            g = problem.gradient(materials.explanation(light), guide, step_seed(rng), norm_loss(guide, not outdoor))
+            slope = torch.from_numpy(np.ascontiguousarray(yaw_roll(g.light, columns).transpose(2, 0, 1)))
+            pull, = torch.autograd.grad((radiance * slope).sum(), x)
+            a, b, deviation = posterior(int(t), int(s))
+            with torch.no_grad():
+                fresh = torch.randn(x.shape, generator=noise) if s >= 0 else torch.zeros_like(x)
+                x = (a * x0 + b * x + deviation * fresh - RANGE * rho_code(int(t), outdoor) * tame(pull)).roll(-columns, -1)
+            now = materials.explanation(light)
+            materials.step(problem.gradient(now, other, step_seed(rng), norm_loss(other, not outdoor)))
+            if k % GAUGE_EVERY == GAUGE_EVERY - 1:
+                for name in ("base_color", "roughness"):
+                    materials.values[name] /= max(float(materials.values[name].max()), 0.2)
+            losses.append(g.loss)
+            bar.step(f"loss {g.loss:.3f}")
+    with torch.no_grad():
+        light = scale * prior.decode(x)[0].numpy().transpose(1, 2, 0)
+    return materials.explanation(np.ascontiguousarray(light)), {"scale": scale, "loss_first": losses[0], "loss_last": losses[-1]}
+
+
+def sds(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:
+    """Score distillation (Poole et al. 2023), DPI's ablation: an optimiser with the prior's score as one more gradient."""
+    rng, noise = np.random.default_rng([settings.seed, seed]), torch.Generator().manual_seed(settings.seed * 100003 + seed)
+    scale, losses = scale_of(start.light), []
+    materials = Materials(resize_explanation(start, settings.texture), settings.learning_rate, problem.roughness_min)
+    x = (0.5 * torch.randn((1, 3, prior.height, prior.width), generator=noise)).requires_grad_(True)
+    adam = torch.optim.Adam([x], 2 * settings.learning_rate)
+    with Bar(f"sample {seed}", settings.steps) as bar:
+        for _ in range(settings.steps):
+            radiance = scale * prior.decode(x)[0]
+            light = np.ascontiguousarray(radiance.detach().numpy().transpose(1, 2, 0))
+            g = problem.gradient(materials.explanation(light), problem.batch(settings.pixels, settings.spp, rng), step_seed(rng))
+            pull, = torch.autograd.grad((radiance * torch.from_numpy(np.ascontiguousarray(g.light.transpose(2, 0, 1)))).sum(), x)
+            level = sigma(int(rng.integers(*SDS_LEVELS)))
+            with torch.no_grad():
+                clean = prior.denoise(x + level * torch.randn(x.shape, generator=noise), level, settings.label)
+                x.grad = pull + SDS_WEIGHT * (x - clean) / (x.numel() * max(level, 0.1))
+            adam.step()
+            materials.step(g)
+            losses.append(g.loss)
+            bar.step(f"loss {g.loss:.4f}")
+    with torch.no_grad():
+        light = scale * prior.decode(x)[0].numpy().transpose(1, 2, 0)
+    return materials.explanation(np.ascontiguousarray(light)), {"scale": scale, "loss_first": losses[0], "loss_last": losses[-1]}
+
+
+def point_estimate(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:
+    """`map`: the fit itself, the same for every seed."""
+    x = resize_explanation(start, settings.texture)
+    x.light = resample_area(start.light, prior.height, prior.width)
+    return x, {"scale": scale_of(start.light)}

@@ -1,0 +1,44 @@
+"""Every sampler on one small scene: it draws usable maps that explain the photos, from its seed alone."""
+import numpy as np
+import pytest
+
+from pipeline.config import Sample
+from pipeline.posterior import SAMPLERS
+from pipeline.prior import load_prior
+from pipeline.runtime import set_threads
+from tests.test_posterior import problem, start, toy                          # noqa: F401  (fixtures)
+
+SMALL = Sample(steps=8, pixels=400, spp=2, texture=32, learning_rate=0.05, levels=4, stay=1, points=50, views=3,
+               region_steps=20, search_points=25, search_tries=1)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """As the sample stage: sums in a fixed order."""
+    set_threads(1)
+    yield
+    set_threads(2)
+
+
+def error(problem, x) -> float:                                              # noqa: F811
+    """Median relative error over the observed pixels."""
+    index = np.arange(0, len(problem.observations), 4)
+    problem.renderer.set(x)
+    L = problem.renderer.mean_radiance(lambda rng: problem.observations.rays(index, rng), 32, 3)
+    y = problem.observations.rgb[index]
+    return float(np.median(np.abs(L - y) / (y + 0.1)))
+
+
+@pytest.mark.parametrize("name", list(SAMPLERS))
+def test_sampler_explains_the_photos_from_its_seed(problem, start, name):    # noqa: F811
+    """A draw in between must not matter, another seed must, and the median pixel is right to 15 % where steps suffice."""
+    prior = load_prior("prior_small")
+    a, b, again = (SAMPLERS[name](problem, prior, start[0], SMALL, seed)[0] for seed in (0, 1, 0))
+    for field in ("light", "base_color", "roughness", "metallic"):
+        values = getattr(a, field)
+        assert np.isfinite(values).all() and values.min() >= 0
+        assert np.array_equal(values, getattr(again, field)), field
+    assert a.light.shape == (32, 64, 3) and a.base_color.max() <= 1
+    assert (name == "map") == np.array_equal(a.light, b.light)
+    if name in ("split_gibbs", "gaussian", "map"):                           # eight guided steps are too few for the others
+        assert error(problem, a) < 0.15
