@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from pipeline.optics import Explanation, Renderer
-from pipeline.posterior.likelihood import Lobes, Photos, Theta, design_effect, mix
+from pipeline.posterior.likelihood import Lobes, Photos, Theta, channel_effect, design_effect, mix
 from pipeline.posterior.problem import SHADE
 from pipeline.transport import LOBES, Rows, Transport, bilinear, centre_rays, choose_rows, lobe
 from pipeline.runtime import mitsuba as mi
@@ -177,3 +177,5 @@ def test_design_effect_sees_correlation():
     alone = design_effect(rows, position, view, rng.normal(size=400))
     smooth = np.sin(7 * position[:, 0]) + np.cos(5 * position[:, 1])
     assert alone < 1.5 and design_effect(rows, position, view, smooth) > 8
+    white = rng.normal(size=(3000, 3))
+    assert channel_effect(white) < 1.1 and channel_effect(white[:, :1] + 0.1 * white) > 2.8

@@ -180,6 +180,13 @@ class Photos:
         self.eta = float(np.sqrt((0.5 * scale + 1e-4) / rng.gamma(0.5 * freedom + 1.0)))
 
 
+def channel_effect(residual: np.ndarray) -> float:
+    """Channels per independent channel, residual (n, 3): a wrong normal or shadow errs in all three at once."""
+    r = residual / np.maximum(residual.std(0), 1e-12)
+    r = np.clip(r - r.mean(0), -4, 4)
+    return 1 + 2 * float(np.clip((np.corrcoef(r.T).sum() - 3) / 6, 0, 1))
+
+
 def design_effect(rows: Rows, position: np.ndarray, view: np.ndarray, residual: np.ndarray, bins: int = 12) -> float:
     """Rows per independent row: 1 + sum over other rows of the same view of the residuals' correlation at that distance.
 

@@ -18,7 +18,7 @@ from ..prior import load_prior
 from ..prior.code import scale_of
 from ..progress import Bar
 from ..transport import Transport, choose_rows
-from .likelihood import Lobes, Photos, Theta, design_effect
+from .likelihood import Lobes, Photos, Theta, channel_effect, design_effect
 from .problem import Problem
 from .refine import fill, gather, splat
 from .region_moves import BRIGHTNESS_PRIOR, METALLIC, draw_gauge, draw_regions, log_prior
@@ -26,7 +26,7 @@ from .evidence import COMPONENTS, Search
 from .regions import group, texel_regions
 from .split_gibbs import SLICES, draw_light, draw_prior, prior_steps, widths
 
-FIRST, LAST = 3.0, 0.03     # widths of the splitting in code units, where the prior's deviation is 0.5
+FIRST, LAST = 1.0, 0.03     # widths of the splitting in code units, where the prior's deviation is 0.5
 COLOUR_SPREAD = 0.8         # deviation of log base colour in the reference Gaussian of the colours
 WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
@@ -134,8 +134,8 @@ class Chain:
         for _ in range(3):
             self.materials(light, WARM_UP // 3)
         colour, U, W = self.colour(light)
-        residual = ((self.photos.y - colour[rows.point] * U - W) * np.sqrt(self.photos.precision)).mean(1)
-        self.photos.kappa = design_effect(rows, transport.position, self.obs.view[rows.observation], residual)
+        residual = (self.photos.y - colour[rows.point] * U - W) * np.sqrt(self.photos.precision)
+        self.photos.kappa = channel_effect(residual) * design_effect(rows, transport.position, self.obs.view[rows.observation], residual.mean(1))
 
     def search(self) -> np.ndarray:
         """Materials to start from, by evidence; the light (M, 3) that goes with them."""

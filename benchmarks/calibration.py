@@ -1,0 +1,130 @@
+"""Simulation-based calibration of `split_gibbs`' light block with the trained prior (Talts et al. 2018).
+
+python -m benchmarks.calibration --simulations 200 --draws 7 --out calibration.json
+
+Each simulation draws a light from the prior itself, observes it through cosine lobes of random sharpness with 10 %
+relative noise, and draws the posterior. Were the sampler exact, the truth's rank among the draws would be uniform for
+every statistic: SH coefficients of the luminance up to order 2, and log radiance of eight random pixels. Reported: the
+share of ranks that fall inside the draws' range (nominal (draws - 1) / (draws + 1)), with its binomial band, the mean
+rank (nominal 0.5) and the chi-square p-value of the rank histogram.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy import stats
+
+from pipeline.envmap import directions, sh_coefficients, solid_angles
+from pipeline.files import write_json
+from pipeline.images import luminance
+from pipeline.posterior.ours import FIRST, LAST
+from pipeline.posterior.split_gibbs import SLICES, draw_light, draw_prior, prior_steps, widths
+from pipeline.prior import load_prior
+from pipeline.progress import progress
+
+ROWS = 40
+ERROR = 0.1
+NAMES = [f"SH {k}" for k in range(9)] + [f"pixel {k}" for k in range(8)]
+
+
+class Observed:
+    """y = A L(z) + noise with standard deviation ERROR y, per channel (LightLikelihood)."""
+
+    def __init__(self, prior, A: torch.Tensor, y: torch.Tensor):
+        self.prior, self.A, self.y, self.deviation = prior, A, y, ERROR * y
+
+    def light(self, z: torch.Tensor) -> torch.Tensor:
+        return self.prior.decode(z.reshape(1, 3, self.prior.height, self.prior.width)).reshape(3, -1)
+
+    def value(self, z: torch.Tensor) -> float:
+        return -0.5 * float((((self.y - self.light(z) @ self.A.T) / self.deviation) ** 2).sum())
+
+    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        L = self.light(z)
+        J = self.A[None] * (self.prior.log_spread * L)[:, None, :] / self.deviation[:, :, None]
+        return J, (self.y - L @ self.A.T) / self.deviation
+
+
+def lobes(prior, rng) -> torch.Tensor:
+    """(ROWS, M) cosine lobes about random directions, exponents 1 to 300, each of unit integral."""
+    d, solid = directions(prior.height, prior.width).reshape(-1, 3), solid_angles(prior.height, prior.width).reshape(-1)
+    axes = rng.normal(size=(ROWS, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    A = np.maximum(axes @ d.T, 0) ** (10 ** rng.uniform(0, 2.5, (ROWS, 1))) * solid
+    return torch.from_numpy((A / A.sum(1, keepdims=True)).astype(np.float32))
+
+
+def statistics(prior, code: torch.Tensor, pixels: np.ndarray) -> np.ndarray:
+    light = prior.decode(code.reshape(1, 3, prior.height, prior.width))[0].numpy().transpose(1, 2, 0)
+    Y = luminance(light)
+    return np.concatenate([sh_coefficients(np.repeat(Y[..., None], 3, -1))[:, 0], np.log(Y.reshape(-1)[pixels])])
+
+
+def simulate(job: tuple) -> np.ndarray:
+    """Rank of the truth among the draws for every statistic."""
+    seed, draws, levels, name = job
+    torch.set_num_threads(1)
+    prior, rng, noise = load_prior(name), np.random.default_rng(seed), torch.Generator().manual_seed(seed)
+    shape = (1, 3, prior.height, prior.width)
+    with torch.no_grad():
+        fresh = lambda: draw_prior(prior, 40 * torch.randn(shape, generator=noise), 40.0, 30, None, rng, noise)
+        truth = fresh()
+        A, pixels = lobes(prior, rng), rng.integers(prior.height * prior.width, size=8)
+        observed = Observed(prior, A, torch.ones(3, ROWS))
+        clean = observed.light(truth) @ A.T
+        y = clean * (1 + ERROR * torch.randn(clean.shape, generator=noise)).clamp_min(0.2)
+        observed = Observed(prior, A, y)
+        observed.deviation = ERROR * clean                                     # the noise's own deviation is given
+        table = []
+        for _ in range(draws):
+            x = fresh()
+            z = x.reshape(3, -1)
+            for rho in map(float, widths(levels, FIRST, LAST, 4)):
+                z = draw_light(observed, x.reshape(3, -1), z, rho, SLICES, rng, noise)
+                x = draw_prior(prior, z.reshape(shape), rho, prior_steps(rho), None, rng, noise)
+            table.append(statistics(prior, x, pixels))
+        return (np.array(table) < statistics(prior, truth, pixels)).sum(0)
+
+
+def summary(ranks: np.ndarray, draws: int) -> dict:
+    """ranks (simulations, statistics)."""
+    nominal, n = (draws - 1) / (draws + 1), len(ranks)
+    out = {}
+    for group, columns in (("SH", range(9)), ("pixels", range(9, 17)), ("all", range(17))):
+        r = ranks[:, list(columns)]
+        inside = ((r > 0) & (r < draws)).mean()
+        counts = np.bincount(r.ravel(), minlength=draws + 1)
+        out[group] = {"inside": float(inside), "nominal": nominal, "binomial_deviation": float(np.sqrt(nominal * (1 - nominal) / n)),
+                      "mean_rank": float(r.mean() / draws), "histogram": counts.tolist()}
+    out["p_values"] = {name: float(stats.chisquare(np.bincount(ranks[:, k], minlength=draws + 1)).pvalue) for k, name in enumerate(NAMES)}
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--simulations", type=int, default=200)
+    parser.add_argument("--draws", type=int, default=7)
+    parser.add_argument("--levels", type=int, default=24)
+    parser.add_argument("--prior", default="prior_small")
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    jobs = [(k, args.draws, args.levels, args.prior) for k in range(args.simulations)]
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        ranks = np.array(list(progress(pool.map(simulate, jobs), "simulations", len(jobs))))
+    result = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "simulations": len(ranks), "draws": args.draws,
+              "levels": args.levels} | summary(ranks, args.draws)
+    print(json.dumps(result, indent=1))
+    if args.out:
+        write_json(args.out, result)
+
+
+if __name__ == "__main__":
+    main()
