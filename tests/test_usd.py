@@ -95,7 +95,7 @@ def test_a_failing_export_leaves_the_old_one(exported, ball, monkeypatch):
 
 def test_without_a_package_the_export_stands_and_says_why(exported, ball, monkeypatch):
     _, out, samples = exported
-    assert out.with_suffix(".usdz").exists()
+    assert check(out.with_suffix(".usdz")) == []
     monkeypatch.setattr("pipeline.usd.write.UsdUtils.CreateNewUsdzPackage", lambda asset, target: False)
     metrics = export(ball, samples[:2], out, {"preset": "draft"})
     assert not metrics["usdz"] and ".usdz" in metrics["warnings"][0] and check(out) == []

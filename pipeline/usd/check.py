@@ -18,14 +18,14 @@ def _validate(stage: Usd.Stage) -> list[str]:
 
 def _paths(stage: Usd.Stage) -> list[str]:
     """Authored asset paths of the composed stage that are absolute or do not exist."""
-    out, base = [], Path(stage.GetRootLayer().realPath).parent
+    out = []
     for prim in stage.TraverseAll():
         for attribute in prim.GetAttributes():
             value = attribute.Get()
             if isinstance(value, Sdf.AssetPath) and value.path:
                 if os.path.isabs(value.path) or "://" in value.path:
                     out.append(f"{attribute.GetPath()}: absolute path {value.path}")
-                elif not (base / value.path).exists():
+                elif not value.resolvedPath:                     # looks into a .usdz, too
                     out.append(f"{attribute.GetPath()}: missing file {value.path}")
     return out
 

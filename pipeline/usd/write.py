@@ -176,11 +176,14 @@ def build(folder: Path, scene: str, mesh: Mesh, samples: list[Path], facts: dict
 
 def package(folder: Path, scene: str) -> str | None:
     """Pack sample 0 as <scene>.usdz in `folder`. Returns why there is none, or None when it is there."""
-    target = folder / f"{scene}.usdz"
+    target, why = folder / f"{scene}.usdz", "OpenUSD could not pack sample_0.usda"
     if UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(folder / scene / "sample_0.usda")), str(target)) and target.exists():
-        return None
+        problems = check(target)
+        if not problems:
+            return None
+        why = "the package does not pass the USD validators: " + "; ".join(problems)
     target.unlink(missing_ok=True)
-    return "OpenUSD could not pack sample_0.usda; the .usda files are complete without it"
+    return f"{why}; the .usda files are complete without it"
 
 
 def publish(folder: Path, out: Path) -> None:
