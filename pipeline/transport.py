@@ -21,7 +21,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from .envmap import directions, solid_angles, uv_from_direction
+from .envmap import solid_angles, uv_from_direction
 from .errors import InputError
 from .mesh_io import load_mesh
 from .observe import Observations
@@ -243,7 +243,8 @@ class Transport:
         local = np.array(wo).T
         d = np.einsum("nji,nj->ni", self.frame[row], local)
         good = (local[:, 2] > 0) & np.isfinite(d).all(1)
-        cell_row = np.clip((uv_from_direction(np.where(good[:, None], d, [0, 1, 0]))[:, 1] * self.sample_h).astype(int), 0, self.sample_h - 1)
+        latitude = uv_from_direction(np.where(good[:, None], d, [0, 1, 0]))[:, 1]
+        cell_row = np.clip((latitude * self.sample_h).astype(int), 0, self.sample_h - 1)
         solid = self.solid.reshape(self.sample_h, -1)[cell_row, 0]
         density = 1 / solid + HIGHLIGHT_SAMPLES * lobes.highlight_density(si, wo)
         value = np.where(good, np.nan_to_num(lobes(si, wo)), 0) / density

@@ -135,7 +135,8 @@ class Chain:
             self.materials(light, WARM_UP // 3)
         colour, U, W = self.colour(light)
         residual = (self.photos.y - colour[rows.point] * U - W) * np.sqrt(self.photos.precision)
-        self.photos.kappa = channel_effect(residual) * design_effect(rows, transport.position, self.obs.view[rows.observation], residual.mean(1))
+        neighbours = design_effect(rows, transport.position, self.obs.view[rows.observation], residual.mean(1))
+        self.photos.kappa = channel_effect(residual) * neighbours
 
     def search(self) -> np.ndarray:
         """Materials to start from, by evidence; the light (M, 3) that goes with them."""

@@ -66,7 +66,8 @@ def draw_regions(photos: Photos, lobes: np.ndarray, theta: Theta, steps: int, rn
     return theta
 
 
-def draw_gauge(photos: Photos, U, W, theta: Theta, log_scale: float, centre: float, pull, steps: int, rng) -> tuple[Theta, float, np.ndarray]:
+def draw_gauge(photos: Photos, U, W, theta: Theta, log_scale: float, centre: float, pull, steps: int,
+               rng) -> tuple[Theta, float, np.ndarray]:
     """Moves along what the photos hardly tell: light brighter, base colours darker; the same per channel.
 
     `pull(shift (3,))` is the log-density of adding `shift` to the light's log radiance per channel. Returns the new

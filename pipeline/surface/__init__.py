@@ -53,7 +53,10 @@ def given_mesh(scene: Path, rig: Rig) -> Mesh | None:
 
 
 def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
-    """Points (n, 3) that fill the masks' common volume, and a margin within which it is known. InputError naming the worst views when there is no common volume."""
+    """Points (n, 3) that fill the masks' common volume, and a margin within which it is known.
+
+    InputError naming the worst views when there is no common volume.
+    """
     points, cell = hull_points(rig, masks, 72, 0.15)
     if len(points):
         return points, 2.5 * cell
