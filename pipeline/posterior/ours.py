@@ -26,7 +26,7 @@ from .evidence import COMPONENTS, Search
 from .regions import group, texel_regions
 from .split_gibbs import SLICES, draw_light, draw_prior, prior_steps, widths
 
-FIRST, LAST = 1.0, 0.03     # widths of the splitting in code units, where the prior's deviation is 0.5
+FIRST, LAST = 1.0, 0.01     # widths of the splitting in code units, where the prior's deviation is 0.5
 COLOUR_SPREAD = 0.8         # deviation of log base colour in the reference Gaussian of the colours
 WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number

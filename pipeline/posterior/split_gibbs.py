@@ -33,6 +33,15 @@ class LightLikelihood(Protocol):
         """J (3, n, M) and r (3, n): log-likelihood of z + d ~ -|r - J d|^2 / 2, channel by channel."""
 
 
+def noise_gain(spread: float, rho: float) -> float:
+    """Mean factor by which code noise of width rho raises radiance exp(spread x + ...): exp((spread rho)^2 / 2).
+
+    z is x plus such noise; without dividing by this, x has to be too dark for z to be right, and lags behind as rho falls.
+    For a light of known scale; a free scale takes the gain up itself.
+    """
+    return float(np.exp(0.5 * (spread * rho) ** 2))
+
+
 def widths(levels: int, first: float, last: float, stay: int) -> np.ndarray:
     """The rho of every turn: geometric from `first` to `last`, then `stay` more turns at `last`."""
     return np.concatenate([np.geomspace(first, last, levels), np.full(stay, last)])
