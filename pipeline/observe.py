@@ -17,6 +17,7 @@ from .config import Observe
 from .errors import InputError
 from .images import read_exr, read_png
 from .progress import progress
+from .runtime import mitsuba_rays
 
 
 def hold_out(rig: Rig, share: float, seed: int) -> list[str]:
@@ -39,14 +40,11 @@ class Tracer:
 
     def __init__(self, mesh: Path):
         from .runtime import mitsuba as mi
-        self.mi = mi
         self.scene = mi.load_dict({"type": "scene", "obj": {"type": "ply", "filename": str(mesh), "flip_tex_coords": False}})
 
     def hit(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays (n, 3) -> uv (n, 2) with v up, cosine of incidence (n,), and which rays hit (n,)."""
-        mi = self.mi
-        ray = mi.Ray3f(mi.Point3f(np.ascontiguousarray(o.T, np.float32)), mi.Vector3f(np.ascontiguousarray(d.T, np.float32)))
-        si = self.scene.ray_intersect(ray)
+        si = self.scene.ray_intersect(mitsuba_rays(o, d))
         cosine = np.abs((np.array(si.n).T.reshape(-1, 3) * d).sum(-1))
         return np.array(si.uv).T.reshape(-1, 2), cosine, np.array(si.is_valid()).astype(bool)
 
@@ -101,7 +99,14 @@ class Observations:
 
     def rays(self, index: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """One ray through a random point of each pixel of `index` (any shape (...,)): o, d (..., 3)."""
-        k, at = self.view[index], self.pixel[index] + rng.random(index.shape + (2,))
+        return self._rays_at(index, rng.random(index.shape + (2,)))
+
+    def centre_rays(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The ray through the centre of each pixel of `index` (any shape (...,)): o, d (..., 3)."""
+        return self._rays_at(index, 0.5)
+
+    def _rays_at(self, index: np.ndarray, offset) -> tuple[np.ndarray, np.ndarray]:
+        k, at = self.view[index], self.pixel[index] + offset
         fx, fy, cx, cy = np.moveaxis(self.lens[k], -1, 0)
         d = np.stack([(at[..., 0] - cx) / fx, (at[..., 1] - cy) / fy, np.ones(index.shape)], -1)
         d /= np.linalg.norm(d, axis=-1, keepdims=True)

@@ -17,7 +17,7 @@ import numpy as np
 from .envmap import mitsuba_gradient, to_mitsuba
 from .errors import InputError
 from .images import read_exr, write_exr
-from .runtime import mitsuba as mi
+from .runtime import mitsuba as mi, mitsuba_rays
 import drjit as dr                                             # noqa: E402  (after mitsuba: needs its LLVM path)
 
 BSDF = "obj.bsdf.brdf_0."
@@ -91,7 +91,7 @@ class Renderer:
         return leaves
 
     def _trace(self, mode, o, d, seed: int, adjoint=None, state=None):
-        rays = mi.Ray3f(mi.Point3f(np.ascontiguousarray(o.T, np.float32)), mi.Vector3f(np.ascontiguousarray(d.T, np.float32)))
+        rays = mitsuba_rays(o, d)
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed, len(o))
         return self.integrator.sample(mode=mode, scene=self.scene, sampler=sampler, ray=rays, δL=adjoint, state_in=state,

@@ -55,6 +55,13 @@ def __getattr__(name: str):
     raise AttributeError(name)
 
 
+def mitsuba_rays(o, d):
+    """Mitsuba rays of origins and directions (n, 3)."""
+    import numpy as np
+    mi = importlib.import_module(__name__).mitsuba
+    return mi.Ray3f(*(kind(np.ascontiguousarray(v.T, np.float32)) for kind, v in ((mi.Point3f, o), (mi.Vector3f, d))))
+
+
 def import_open3d():
     """Open3D with its libusb dependency met. Raises InputError in plain words when it cannot be loaded."""
     try:

@@ -25,7 +25,7 @@ from .envmap import solid_angles, uv_from_direction
 from .errors import InputError
 from .mesh_io import load_mesh
 from .observe import Observations
-from .runtime import mitsuba as mi
+from .runtime import mitsuba as mi, mitsuba_rays
 import drjit as dr                                             # noqa: E402  (after mitsuba: needs its LLVM path)
 
 LOBES = ("diffuse", "dielectric", "metal white", "metal black")
@@ -44,19 +44,6 @@ class Rows:
     def starts(self) -> np.ndarray:
         """First row of each point (p,), for np.add.reduceat."""
         return np.flatnonzero(np.diff(self.point, prepend=-1))
-
-
-def as_rays(o: np.ndarray, d: np.ndarray):
-    return mi.Ray3f(mi.Point3f(np.ascontiguousarray(o.T, np.float32)), mi.Vector3f(np.ascontiguousarray(d.T, np.float32)))
-
-
-def centre_rays(observations: Observations, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rays through the pixel centres: o, d (n, 3)."""
-    k, at = observations.view[index], observations.pixel[index] + 0.5
-    fx, fy, cx, cy = observations.lens[k].T
-    d = np.stack([(at[:, 0] - cx) / fx, (at[:, 1] - cy) / fy, np.ones(len(index))], -1)
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    return observations.origin[k], np.einsum("ni,nij->nj", d, observations.turn[k])
 
 
 def spread_out(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -79,8 +66,8 @@ def choose_rows(observations: Observations, scene, points: int, views: int, seed
         raise InputError("fewer than 50 observed pixels see the surface at a usable angle", "observe",
                          "photograph the object from more sides, or check the mesh and the masks")
     usable = np.sort(rng.choice(usable, min(pool, len(usable)), replace=False))
-    o, d = centre_rays(observations, usable)
-    si = scene.ray_intersect(as_rays(o, d))
+    o, d = observations.centre_rays(usable)
+    si = scene.ray_intersect(mitsuba_rays(o, d))
     t, hit = np.array(si.t), np.array(si.is_valid()).astype(bool)
     usable, o, d, t = usable[hit], o[hit], d[hit], t[hit]
     position, footprint = o + t[:, None] * d, np.median(t / observations.lens[observations.view[usable], 0])
@@ -153,8 +140,8 @@ class Transport:
 
     def __init__(self, scene, mesh_path, observations: Observations, rows: Rows, h: int, nodes: int, seed: int):
         self.scene, self.rows, self.h, self.rng = scene, rows, h, np.random.default_rng([7, seed])
-        o, d = centre_rays(observations, rows.observation)
-        si = scene.ray_intersect(as_rays(o, d))
+        o, d = observations.centre_rays(rows.observation)
+        si = scene.ray_intersect(mitsuba_rays(o, d))
         self.frame = np.stack([np.array(v).T for v in (si.sh_frame.s, si.sh_frame.t, si.sh_frame.n)], 1)   # (n, 3, 3)
         self.incident = np.einsum("nij,nj->ni", self.frame, -d).astype(np.float32)                       # local, towards the camera
         self.position = np.array(si.p).T
@@ -188,7 +175,7 @@ class Transport:
         for k in range(0, len(d), LANES):
             part = np.s_[k:k + LANES]
             side = np.sign((normal[part] * d[part]).sum(1, keepdims=True))
-            si = self.scene.ray_intersect(as_rays(origin[part] + self.reach * side * normal[part], d[part]))
+            si = self.scene.ray_intersect(mitsuba_rays(origin[part] + self.reach * side * normal[part], d[part]))
             hit = np.array(si.is_valid()).astype(bool)
             if hit.any():
                 out[k:k + LANES][hit] = self.node_tree.query(np.array(si.p).T[hit])[1]

@@ -6,7 +6,7 @@ import torch
 from pipeline.optics import Explanation, Renderer
 from pipeline.posterior.likelihood import Lobes, Photos, Theta, channel_effect, design_effect, mix
 from pipeline.posterior.problem import SHADE
-from pipeline.transport import LOBES, Rows, Transport, bilinear, centre_rays, choose_rows, lobe
+from pipeline.transport import LOBES, Rows, Transport, bilinear, choose_rows, lobe
 from pipeline.runtime import mitsuba as mi
 import drjit as dr
 
@@ -95,7 +95,7 @@ def test_operator_equals_path_tracer(scene, transport, r, m, a):
     U, W = mix(F @ light.reshape(-1, 3), m)
     constant = lambda v, *shape: np.full((32, 32) + shape, v, np.float32)
     renderer.set(Explanation(light, constant(a, 3), constant(r), constant(m)))
-    o, d = centre_rays(observations, transport.rows.observation)
+    o, d = observations.centre_rays(transport.rows.observation)
     truth = renderer.mean_radiance(lambda rng: (o, d), 512, 0)
     assert abs((a * U + W).mean() / truth.mean() - 1) < 0.02
     assert np.abs(a * U + W - truth).mean() / truth.mean() < 0.06

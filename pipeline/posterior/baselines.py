@@ -17,7 +17,7 @@ from ..optics import Explanation, resize_explanation
 from ..prior.code import scale_of
 from ..prior.schedule import ALPHA_BAR, T, posterior, sigma, subsequence
 from ..progress import Bar
-from .problem import Materials, Problem, step_seed
+from .problem import Materials, Problem, generators, guided_result, step_seed
 
 RANGE = 2.0             # four standard deviations of our codes
 RATES = {"base_color": 0.02, "roughness": 0.015, "metallic": 0.01}
@@ -55,7 +55,7 @@ def tame(gradient: torch.Tensor) -> torch.Tensor:
 
 def dpi_code(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:
     """One sample by the released algorithm; arguments as `dpi_paper`."""
-    rng, noise = np.random.default_rng([settings.seed, seed]), torch.Generator().manual_seed(settings.seed * 100003 + seed)
+    rng, noise = generators(settings, seed)
     outdoor, scale, views = settings.label != "indoor", scale_of(start.light), len(problem.observations.views)
     first = resize_explanation(start, settings.texture)
     first.base_color = np.full_like(first.base_color, 0.01)
@@ -84,14 +84,12 @@ def dpi_code(problem: Problem, prior, start: Explanation, settings: Sample, seed
                     materials.values[name] /= max(float(materials.values[name].max()), 0.2)
             losses.append(g.loss)
             bar.step(f"loss {g.loss:.3f}")
-    with torch.no_grad():
-        light = scale * prior.decode(x)[0].numpy().transpose(1, 2, 0)
-    return materials.explanation(np.ascontiguousarray(light)), {"scale": scale, "loss_first": losses[0], "loss_last": losses[-1]}
+    return guided_result(prior, x, scale, materials, losses[0], losses[-1])
 
 
 def sds(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:
     """Score distillation (Poole et al. 2023), DPI's ablation: an optimiser with the prior's score as one more gradient."""
-    rng, noise = np.random.default_rng([settings.seed, seed]), torch.Generator().manual_seed(settings.seed * 100003 + seed)
+    rng, noise = generators(settings, seed)
     scale, losses = scale_of(start.light), []
     materials = Materials(resize_explanation(start, settings.texture), settings.learning_rate, problem.roughness_min)
     x = (0.5 * torch.randn((1, 3, prior.height, prior.width), generator=noise)).requires_grad_(True)
@@ -110,9 +108,7 @@ def sds(problem: Problem, prior, start: Explanation, settings: Sample, seed: int
             materials.step(g)
             losses.append(g.loss)
             bar.step(f"loss {g.loss:.4f}")
-    with torch.no_grad():
-        light = scale * prior.decode(x)[0].numpy().transpose(1, 2, 0)
-    return materials.explanation(np.ascontiguousarray(light)), {"scale": scale, "loss_first": losses[0], "loss_last": losses[-1]}
+    return guided_result(prior, x, scale, materials, losses[0], losses[-1])
 
 
 def point_estimate(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:

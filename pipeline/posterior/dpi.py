@@ -25,7 +25,7 @@ from ..optics import Explanation, resize_explanation
 from ..prior.code import scale_of
 from ..prior.schedule import ALPHA_BAR, T, posterior, sigma, subsequence
 from ..progress import Bar
-from .problem import Materials, Problem, step_seed
+from .problem import Materials, Problem, generators, guided_result, step_seed
 
 RHO_BASE = 30.0      # calibrates rho to the relative data term (problem.py) and codes of standard deviation 0.5
 STEP_LIMIT = 0.5     # largest guidance step in units of the code's standard deviation, root mean square
@@ -41,7 +41,7 @@ def dpi_paper(problem: Problem, prior, start: Explanation, settings: Sample, see
 
     Deterministic in `seed`: independent of other samples and of what ran before in the process.
     """
-    rng, noise = np.random.default_rng([settings.seed, seed]), torch.Generator().manual_seed(settings.seed * 100003 + seed)
+    rng, noise = generators(settings, seed)
     scale = scale_of(start.light)
     first = resize_explanation(start, settings.texture)
     first.base_color = np.zeros_like(first.base_color)
@@ -70,8 +70,6 @@ def dpi_paper(problem: Problem, prior, start: Explanation, settings: Sample, see
             materials.step(g)                                                                    # Eq. 16
             losses.append(g.loss)
             bar.step(f"loss {g.loss:.4f}")
-    with torch.no_grad():
-        light = scale * prior.decode(x)[0].numpy().transpose(1, 2, 0)
     # median: with few paths per pixel, one that meets the sun makes a step's loss a hundred times what it is
     tail = losses[-max(1, len(losses) // 10):]
-    return materials.explanation(np.ascontiguousarray(light)), {"scale": scale, "loss_first": losses[0], "loss_last": float(np.median(tail))}
+    return guided_result(prior, x, scale, materials, losses[0], float(np.median(tail)))

@@ -7,12 +7,14 @@ method for every roughness and metallic tried.
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 import torch
 
 from ..prior.gaussian import GaussianPrior
 from ..transport import Rows
-from .likelihood import Lobes, Photos, Theta
+from .likelihood import Photos, Theta
 from .region_moves import METALLIC, log_prior
 from .split_gibbs import Curvature
 
@@ -24,8 +26,7 @@ STEPS = 2               # Newton steps on log light, and on the colours, per pro
 def subset(photos: Photos, points: np.ndarray) -> Photos:
     """Some of the points only, without light off the object."""
     keep = np.isin(photos.rows.point, points)
-    lobes = object.__new__(Lobes)
-    lobes.levels, index = photos.lobes.levels, torch.from_numpy(np.flatnonzero(keep))
+    lobes, index = copy(photos.lobes), torch.from_numpy(np.flatnonzero(keep))
     lobes.direct = [F[:, index] for F in photos.lobes.direct]
     lobes.off = [[g[keep] for g in G] for G in photos.lobes.off]
     rows = Rows(photos.rows.observation[keep], np.searchsorted(np.sort(points), photos.rows.point[keep]))

@@ -112,8 +112,13 @@ class Photos:
 
     def predict(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """U and W applied to the light, (n, 3) each, light off the object included."""
-        L, B = torch.from_numpy(light.astype(np.float32)), self.nodes(light, self.theta)
-        return (self.U @ L).numpy() + self.off[0] @ B, (self.W @ L).numpy() + self.off[1] @ B
+        L, (off_U, off_W) = torch.from_numpy(light.astype(np.float32)), self.off_object(light)
+        return (self.U @ L).numpy() + off_U, (self.W @ L).numpy() + off_W
+
+    def off_object(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The part of `predict` that comes off the object."""
+        B = self.nodes(light, self.theta)
+        return self.off[0] @ B, self.off[1] @ B
 
     def sums(self, U, W, mu_rows):
         """Per point and channel: sum w U^2, sum w U r, sum w r^2 over kappa, with r = y - mu U - W; (p, 3) each."""
@@ -134,9 +139,9 @@ class Photos:
         """T (3, n, M), y (3, n), V (3, n, R): log-likelihood ~ -|y - T L - V d|^2 / 2 for lights L near `light` and
         regions whose log mean colour moves by d; T is the direct part of the transport.
         """
-        theta, (U, _) = self.theta, self.predict(light)
-        mu, nodes = theta.mu[self.row_region], self.nodes(light, theta)
-        direct = self.y - mu * (self.off[0] @ nodes) - self.off[1] @ nodes
+        theta, (off_U, off_W) = self.theta, self.off_object(light)
+        mu, U = theta.mu[self.row_region], (self.U @ torch.from_numpy(light.astype(np.float32))).numpy() + off_U
+        direct = self.y - mu * off_U - off_W
         v = (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
         root, T, y = np.sqrt(self.precision / self.kappa), torch.empty((3,) + self.U.shape), torch.empty(3, len(mu))
         segment, V = torch.from_numpy(self.rows.point), torch.zeros(3, len(mu), len(theta.m))

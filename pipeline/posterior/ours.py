@@ -19,7 +19,7 @@ from ..prior.code import scale_of
 from ..progress import Bar
 from ..transport import Transport, choose_rows
 from .likelihood import Lobes, Photos, Theta, channel_effect, design_effect
-from .problem import Problem
+from .problem import Problem, generators
 from .refine import fill, gather, splat
 from .region_moves import BRIGHTNESS_PRIOR, METALLIC, draw_gauge, draw_regions, log_prior
 from .evidence import COMPONENTS, Search
@@ -114,7 +114,7 @@ class Chain:
     """The state of one draw."""
 
     def __init__(self, problem: Problem, prior, fit: Explanation, settings: Sample, seed: int):
-        self.rng, self.noise = np.random.default_rng([settings.seed, seed]), torch.Generator().manual_seed(settings.seed * 100003 + seed)
+        self.rng, self.noise = generators(settings, seed)
         self.prior, self.settings, self.obs = prior, settings, problem.observations
         scene = problem.renderer.scene
         rows = choose_rows(self.obs, scene, settings.points, settings.views, settings.seed)
@@ -140,7 +140,8 @@ class Chain:
 
     def search(self) -> np.ndarray:
         """Materials to start from, by evidence; the light (M, 3) that goes with them."""
-        search = Search(self.photos, load_prior(self.settings.search_prior), self.log_scale, self.settings.search_points, self.rng)
+        self.gaussian = load_prior(self.settings.search_prior)
+        search = Search(self.photos, self.gaussian, self.log_scale, self.settings.search_points, self.rng)
         self.theta, self.start_coefficients = search.run(self.theta, self.settings.search_tries, self.rng)
         code = search.code(self.start_coefficients)
         self.start_code = code.reshape(1, 3, self.prior.height, self.prior.width)
@@ -237,6 +238,6 @@ def split_gibbs(problem: Problem, prior, start: Explanation, settings: Sample, s
 def gaussian(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:
     """One posterior sample under the Gaussian prior `settings.search_prior`; `prior` gives the size of the light only."""
     chain = Chain(problem, prior, start, settings, seed)
-    chain.prior = load_prior(settings.search_prior)
+    chain.prior = chain.gaussian
     chain.coded = CodedPhotos(chain.photos, chain.prior, chain.log_scale, 1.0)
     return chain.result(chain.turns_with_gaussian(max(settings.stay, 1), chain.prior), start)

@@ -90,6 +90,18 @@ class Materials:
         return Explanation(light, *(self.values[n].numpy() for n in ("base_color", "roughness", "metallic")))
 
 
+def generators(settings, seed: int) -> tuple[np.random.Generator, torch.Generator]:
+    """Random numbers of sample `seed`, its own and no other sample's."""
+    return np.random.default_rng([settings.seed, seed]), torch.Generator().manual_seed(settings.seed * 100003 + seed)
+
+
+def guided_result(prior, x: torch.Tensor, scale: float, materials: Materials, first: float, last: float) -> tuple[Explanation, dict]:
+    """Explanation and facts of a sampler that ends with the code x (1, 3, h, w)."""
+    with torch.no_grad():
+        light = scale * prior.decode(x)[0].numpy().transpose(1, 2, 0)
+    return materials.explanation(np.ascontiguousarray(light)), {"scale": scale, "loss_first": first, "loss_last": last}
+
+
 def step_seed(rng: np.random.Generator) -> int:
     """A fresh 31-bit seed for the renderer."""
     return int(rng.integers(1 << 31))
