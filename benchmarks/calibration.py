@@ -27,8 +27,9 @@ from pipeline.envmap import directions, sh_coefficients, solid_angles
 from pipeline.files import write_json
 from pipeline.images import luminance
 from pipeline.posterior.ours import FIRST, LAST
-from pipeline.posterior.split_gibbs import SLICES, draw_light, draw_prior, noise_gain, prior_steps, widths
+from pipeline.posterior.split_gibbs import SLICES, draw_light, noise_gain, prior_steps, widths
 from pipeline.prior import load_prior
+from pipeline.prior.sampling import FIRST_SIGMA, draw, reverse_diffusion
 from pipeline.progress import progress
 
 ROWS = 40
@@ -76,7 +77,7 @@ def simulate(job: tuple) -> np.ndarray:
     prior, rng, noise = load_prior(name), np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     shape = (1, 3, prior.height, prior.width)
     with torch.no_grad():
-        fresh = lambda: draw_prior(prior, 40 * torch.randn(shape, generator=noise), 40.0, 30, None, rng, noise)
+        fresh = lambda: reverse_diffusion(prior, 40 * torch.randn(shape, generator=noise), 40.0, 30, None, rng, noise)
         truth = fresh()
         A, pixels = lobes(prior, rng), rng.integers(prior.height * prior.width, size=8)
         observed = Observed(prior, A, torch.ones(3, ROWS))
@@ -91,7 +92,7 @@ def simulate(job: tuple) -> np.ndarray:
             for rho in map(float, widths(levels, FIRST, LAST, 4)):
                 observed.gain = noise_gain(prior.log_spread, rho)
                 z = draw_light(observed, x.reshape(3, -1), z, rho, SLICES, rng, noise)
-                x = draw_prior(prior, z.reshape(shape), rho, prior_steps(rho), None, rng, noise)
+                x = reverse_diffusion(prior, z.reshape(shape), rho, prior_steps(rho), None, rng, noise)
             table.append(statistics(prior, x, pixels))
         return (np.array(table) < statistics(prior, truth, pixels)).sum(0)
 

@@ -1,12 +1,14 @@
-"""Judge a light prior against real maps: loss, Fréchet distance, memorisation, seam, yaw, peaks.
+"""Judge light priors against measured maps: Fréchet distance, memorisation, seam, yaw, histograms, losses, times; sample sheets.
 
-python -m benchmarks.prior --data RUN/data.npz --priors prior_small gaussian_small --samples 128 --out prior.json
+python -m benchmarks.prior --data RUN/data.npz --priors prior_base gaussian_base --reni reni.npz --out prior.json --sheets FOLDER
+python -m benchmarks.prior ... --others MAPS --catalogue CSV --licence "not stated"     more maps that no prior was trained on
 
-RUN/data.npz is made by pipeline.prior.train (real maps with a held-out flag). Feature space of the Fréchet distance
-(Heusel et al. 2017, with features anyone can recompute): of every map's log code, the mean of each opponent colour channel
-in 4 latitude bands, the log power of each channel in 4 bands of longitudinal frequency, and the percentiles 1, 25, 75, 99
-and 99.9 of log luminance over its median; 29 numbers, none changed by yaw or mirroring, in units of the training maps'
-deviation. The floor is the distance between held-out and training maps.
+RUN/data.npz is made by pipeline.prior.train, reni.npz by benchmarks.reni. Feature space of the Fréchet distance (Heusel et al.
+2017, with features anyone can recompute): of every map's log code, the mean of each opponent colour channel in 4 latitude
+bands, the log power of each channel in 4 bands of longitudinal frequency, and the percentiles 1, 25, 75, 99 and 99.9 of log
+luminance over its median; 29 numbers, none changed by yaw or mirroring, in units of the training maps' deviation. The floor is
+the distance between maps held out and maps trained on; `frechet_floor_few` the same for as many training maps drawn at random
+from the training maps themselves, which shows how much of the floor is the small number.
 """
 
 from __future__ import annotations
@@ -15,20 +17,31 @@ import argparse
 import json
 import os
 import platform
+import time
 from pathlib import Path
 
 import numpy as np
 import torch
 from scipy import linalg, stats
 
-from pipeline.envmap import solid_angles
+from benchmarks.lights import statistics
+from pipeline.envmap import resample_area, solid_angles
 from pipeline.files import write_json
-from pipeline.prior import load_prior
+from pipeline.images import write_png
+from pipeline.prior import find_prior, load_prior
+from pipeline.prior.code import to_log
+from pipeline.prior.data import Data, scale_free
 from pipeline.prior.gaussian import OPPONENT, GaussianPrior
-from pipeline.prior.sampling import draw
+from pipeline.prior.network import LABELS
+from pipeline.prior.parts import load_parts
+from pipeline.prior.sampling import draw, lights, sheet
+from pipeline.prior.settings import Training
+from pipeline.prior.sources import find_sources, read_source
+from pipeline.prior.train import fixed_loss, row_weights
+from pipeline.progress import progress
+from pipeline.runtime import set_threads
 
-SHRINK = 0.1            # of every covariance towards its diagonal: there are few real maps
-LEVELS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+SHRINK = 0.1            # of every covariance towards its diagonal: there are few measured maps
 
 
 def features(codes: np.ndarray) -> np.ndarray:
@@ -82,56 +95,99 @@ def yaw_error(prior, codes: np.ndarray) -> dict:
         return {k: float((prior.denoise(x.roll(k, -1), 1.0).roll(-k, -1) - plain).square().mean().sqrt()) / size for k in (1, 2, 4, 8)}
 
 
-def peak(codes: np.ndarray, spread: float) -> np.ndarray:
-    """log of the 99.9 percentile over the median of luminance-like radiance, (n,)."""
-    level = np.log(np.exp(spread * codes).mean(1)).reshape(len(codes), -1)
-    return np.percentile(level, 99.9, axis=1) - np.median(level, axis=1)
+def seconds(action, repeats: int) -> float:
+    """Median wall time of `action` after one warm-up."""
+    action()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
 
 
-def samples_of(prior, count: int, steps: int) -> np.ndarray:
-    """Codes (n, 3, h, w)."""
+def times(prior, steps: int) -> dict:
+    """Forward pass and a whole draw, for 1 and 8 maps, on two threads."""
+    set_threads(2)
+    x = lambda n: torch.randn(n, 3, prior.height, prior.width)
+    with torch.no_grad():
+        out = {f"forward_{n}": seconds(lambda: prior.denoise(x(n), 1.0), 9) for n in (1, 8)}
+        return out | {f"sample_{n}": seconds(lambda: draw(prior, n, steps, 0), 1) for n in (1, 8)}
+
+
+def histograms(prior_lights: np.ndarray, measured: np.ndarray) -> dict:
+    """Per statistic of benchmarks.lights: Kolmogorov-Smirnov distance, and the quartiles of samples and of measured maps."""
+    tables = [[statistics(m) for m in maps] for maps in (prior_lights, measured)]
+    out = {}
+    for key in tables[0][0]:
+        a, b = ([row[key] for row in table] for table in tables)
+        out[key] = {"ks": float(stats.ks_2samp(a, b)[0]), "samples": np.percentile(a, [10, 50, 90]), "measured": np.percentile(b, [10, 50, 90])}
+    return out
+
+
+def judged(codes: np.ndarray, spread: float, mean: float, known: np.ndarray, held: np.ndarray) -> dict:
+    """Everything that needs samples only: codes (n, 3, h, w) beside those of maps known and held out."""
+    scale = features(known).std(0) + 1e-9
+    distance = lambda x: frechet(features(x) / scale, features(known) / scale)
+    radiance = lambda x: np.exp(x * spread + mean).transpose(0, 2, 3, 1)
+    half = np.random.default_rng(0).permutation(len(known))
+    few = frechet(features(known[half[:len(held)]]) / scale, features(known[half[len(held):]]) / scale) if len(known) > len(held) else None
+    return {"frechet": distance(codes), "frechet_floor": distance(held), "frechet_floor_few": few,
+            "nearest_ratio": float(np.median(nearest(codes, known)) / np.median(nearest(held, known))),
+            "seam": seam(codes), "seam_data": seam(known),
+            "statistics": histograms(radiance(codes), radiance(np.concatenate([known, held])))}
+
+
+def judge(name: str, data: Data, others: list[np.ndarray], count: int, steps: int, folder: Path | None) -> dict:
+    """A row of the table for the prior called `name`, in that prior's own value code."""
+    prior, start = load_prior(name), time.monotonic()
+    facts = load_parts(find_prior(name))[1]
+    data = Data(data.maps, data.labels, data.made, data.held, prior.height, facts["mean"], facts["std"])
+    known, held = data.measured(False), data.measured(True)
+    if others:
+        held = np.concatenate([held, data.codes(np.stack([to_log(scale_free(resample_area(m, prior.height, prior.width))) for m in others]))])
     if isinstance(prior, GaussianPrior):
-        return prior.sample(count, torch.Generator().manual_seed(0)).numpy()
-    lights = np.concatenate([draw(prior, min(16, count - k), steps, 100 + k) for k in range(0, count, 16)])
-    return np.concatenate([prior.encode(light).numpy() for light in lights])
-
-
-def judge(name: str, train: np.ndarray, held: np.ndarray, count: int, steps: int) -> dict:
-    prior = load_prior(name)
-    codes = samples_of(prior, count, steps)
-    scale = features(train).std(0) + 1e-9
-    near = nearest(codes, train)
-    out = {"prior": name, "frechet": frechet(features(codes) / scale, features(train) / scale),
-           "frechet_floor": frechet(features(held) / scale, features(train) / scale),
-           "nearest_ratio": float(np.median(near) / np.median(nearest(held, train))), "seam": seam(codes), "seam_data": seam(train),
-           "yaw_error": yaw_error(prior, train), "peak_ks": float(stats.ks_2samp(peak(codes, prior.log_spread), peak(train, prior.log_spread))[0]),
-           "peak_median": float(np.median(peak(codes, prior.log_spread))), "peak_median_data": float(np.median(peak(train, prior.log_spread)))}
-    losses = {}
-    for which, x in (("held_out", held), ("train", train[:len(held)])):
-        noise = torch.Generator().manual_seed(1)
-        x, weight = torch.from_numpy(x), torch.from_numpy(solid_angles(*x.shape[-2:]).astype(np.float32).copy())
-        weight = weight / weight.mean()
-        with torch.no_grad():
-            losses[which] = float(np.mean([((prior.denoise(x + s * torch.randn(x.shape, generator=noise), s) - x).square() * weight).mean()
-                                           / (s**2 * 0.25 / (s**2 + 0.25)) for s in LEVELS]))
-    return out | {"loss": losses}
+        codes = prior.sample(count, torch.Generator().manual_seed(0))
+    else:
+        codes = draw(prior, count, steps, 100)
+    out = {"prior": name, "samples": count, "held_out": len(held)} | judged(codes.numpy(), prior.log_spread, facts["mean"], known, held)
+    model = lambda x, sigma, label: prior.denoise(x, float(sigma[0]))
+    loss = lambda x: fixed_loss(model, torch.from_numpy(x), row_weights(prior.height), Training())
+    out["loss"] = {"train": loss(known), "held_out": loss(data.measured(True)), "all_unseen": loss(held)}
+    out["yaw_error"], out["seconds"] = yaw_error(prior, known), times(prior, steps)
+    if folder:
+        for label in [None] if isinstance(prior, GaussianPrior) else [None, *LABELS]:
+            maps = lights(prior, codes[:64]) if label is None else lights(prior, draw(prior, 64, steps, 7, label))
+            write_png(folder / f"{name}_{label or 'all'}.png", sheet(maps))
+    return out | {"judged_in_seconds": time.monotonic() - start}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--priors", nargs="+", default=["prior_small", "gaussian_small"])
+    parser.add_argument("--priors", nargs="+", default=["prior_small"])
+    parser.add_argument("--reni", type=Path, help="samples of benchmarks.reni")
+    parser.add_argument("--others", type=Path, help="folder with more maps for judging only")
+    parser.add_argument("--catalogue", type=Path)
+    parser.add_argument("--licence", default="not stated")
     parser.add_argument("--samples", type=int, default=128)
-    parser.add_argument("--steps", type=int, default=100)
+    parser.add_argument("--steps", type=int, default=40)
+    parser.add_argument("--sheets", type=Path, help="folder for sample sheets, 64 per label")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    data = np.load(args.data)
-    codes = ((data["real"] - data["mean"]) / (2 * data["std"])).astype(np.float32)
-    train, held = codes[~data["held"]], codes[data["held"]]
+    data = Data.load(args.data, 64)
+    sources = find_sources(args.others, args.catalogue, args.licence) if args.others else []
+    others = [read_source(s.path) for s in progress(sources, "other maps") if not s.expanded] if sources else []
     rows = []
     for name in args.priors:
-        rows.append(judge(name, train, held, args.samples, args.steps))
-        print(json.dumps(rows[-1], indent=1), flush=True)
+        rows.append(judge(name, data, others, args.samples, args.steps, args.sheets))
+        print(json.dumps(rows[-1], indent=1, default=lambda v: np.round(v, 3).tolist()), flush=True)
+    if args.reni:
+        codes = np.load(args.reni)["codes"]
+        data = Data.load(args.data, codes.shape[2])
+        held = np.concatenate([data.measured(True)] + ([data.codes(np.stack([to_log(scale_free(resample_area(m, *codes.shape[2:]))) for m in others]))] if others else []))
+        rows.append({"prior": "RENI-like", "samples": len(codes)} | judged(codes, 2 * data.std, data.mean, data.measured(False), held))
+        print(json.dumps(rows[-1], indent=1, default=lambda v: np.round(v, 3).tolist()), flush=True)
     if args.out:
         write_json(args.out, {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows})
 

@@ -168,12 +168,11 @@ def merge(base: dict, over: dict) -> dict:
     return out
 
 
-def _explain(error: ValidationError, path) -> InputError:
+def _explain(error: ValidationError, path, model: type[Section]) -> InputError:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] != "extra_forbidden":
         return InputError(f"{key}: {first['msg']} (it is {first.get('input')!r})", path, f"correct {key}")
-    model = Scene
     for part in first["loc"][:-1]:
         model = model.model_fields[part].annotation
     return InputError(f"unknown key '{key}'", path, nearest(str(first["loc"][-1]), model.model_fields))
@@ -192,10 +191,15 @@ def parse_scene(own: dict, path) -> Scene:
     if not isinstance(preset, str) or not file.exists():
         raise InputError(f"unknown preset {preset!r}", path,
                          nearest(str(preset), [p.stem for p in PRESET_FOLDER.glob("*.yaml")]))
+    return validated(Scene, merge(read_yaml(file), own), path)
+
+
+def validated(model: type[Section], values: dict, path):
+    """An instance of `model`. Raises InputError naming file, key and cure."""
     try:
-        return Scene(**merge(read_yaml(file), own))
+        return model(**values)
     except ValidationError as error:
-        raise _explain(error, path) from error
+        raise _explain(error, path, model) from error
 
 
 def slice_of(scene: Scene, *sections: str) -> dict:

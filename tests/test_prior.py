@@ -7,13 +7,13 @@ from pipeline.errors import InputError
 from pipeline.prior import find_prior, load_prior
 from pipeline.prior.code import Code, scale_of
 from pipeline.prior.network import Denoiser
-from pipeline.prior.procedural import indoor, outdoor
+from pipeline.prior.procedural import night, outdoor
 from pipeline.prior.schedule import T, posterior, sigma, subsequence
 
 
 def lights():
     rng = np.random.default_rng(3)
-    yield from (f(rng, 16, 32) for f in (outdoor, indoor, outdoor))
+    yield from (f(rng, 16, 32) for f in (outdoor, night, outdoor))
     sun = np.full((16, 32, 3), 0.2)
     sun[5, 7] = 20000
     yield sun
@@ -27,11 +27,6 @@ def test_code_keeps_energy_and_peaks():
         assert back.min() >= 0
         assert np.allclose(mean_radiance(back), mean_radiance(light), rtol=0.005)
         assert np.isclose(back.max(), light.max(), rtol=1e-3)
-
-
-def test_procedural_lights_are_light():
-    for light in lights():
-        assert np.isfinite(light).all() and light.min() >= 0 and light.mean() > 0
 
 
 def test_network_has_no_seam():

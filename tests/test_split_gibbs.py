@@ -3,9 +3,10 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.posterior.split_gibbs import Curvature, draw_light, draw_prior, prior_steps, widths
+from pipeline.posterior.split_gibbs import Curvature, draw_light, prior_steps, widths
 from pipeline.prior.code import Code
 from pipeline.prior.gaussian import OPPONENT, GaussianPrior, spectra
+from pipeline.prior.sampling import reverse_diffusion
 
 
 @pytest.fixture
@@ -40,11 +41,11 @@ def chain(prior, likelihood, rhos, seed):
     """One draw, as in pipeline/posterior/ours.py without materials."""
     rng, noise = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     shape = (1, 3, prior.height, prior.width)
-    x = draw_prior(prior, 20 * torch.randn(shape, generator=noise), 20.0, 10, None, rng, noise)
+    x = reverse_diffusion(prior, 20 * torch.randn(shape, generator=noise), 20.0, 10, None, rng, noise)
     z = x.reshape(3, -1)
     for rho in rhos:
         z = draw_light(likelihood, x.reshape(3, -1), z, float(rho), 2, rng, noise)
-        x = draw_prior(prior, z.reshape(shape), float(rho), prior_steps(rho), None, rng, noise)
+        x = reverse_diffusion(prior, z.reshape(shape), float(rho), prior_steps(rho), None, rng, noise)
     return x.reshape(-1)
 
 

@@ -16,6 +16,7 @@ from ..config import Sample
 from ..optics import Explanation
 from ..prior import load_prior
 from ..prior.code import scale_of
+from ..prior.sampling import reverse_diffusion
 from ..progress import Bar
 from ..transport import Transport, choose_rows
 from .likelihood import Lobes, Photos, Theta, channel_effect, design_effect
@@ -24,7 +25,7 @@ from .refine import fill, gather, splat
 from .region_moves import BRIGHTNESS_PRIOR, METALLIC, draw_gauge, draw_regions, log_prior
 from .evidence import COMPONENTS, Search
 from .regions import group, texel_regions
-from .split_gibbs import SLICES, draw_light, draw_prior, prior_steps, widths
+from .split_gibbs import SLICES, draw_light, prior_steps, widths
 
 FIRST, LAST = 1.0, 0.01     # widths of the splitting in code units, where the prior's deviation is 0.5
 COLOUR_SPREAD = 0.8         # deviation of log base colour in the reference Gaussian of the colours
@@ -195,12 +196,12 @@ class Chain:
         with torch.no_grad(), Bar(f"sample {seed}", len(rhos)) as bar:
             shape = (1, 3, prior.height, prior.width)
             z = self.start_code.reshape(3, -1)
-            x = draw_prior(prior, self.start_code, FIRST, prior_steps(FIRST), s.label, self.rng, self.noise)
+            x = reverse_diffusion(prior, self.start_code, FIRST, prior_steps(FIRST), s.label, self.rng, self.noise)
             for rho in map(float, rhos):
                 flat, self.coded.width = x.reshape(3, -1), rho
                 z = self.gauge(self.light_turn(self.coded, flat, z), flat, rho)
                 self.materials(self.coded.light(z), s.region_steps)
-                x = draw_prior(prior, z.reshape(shape), rho, prior_steps(rho), s.label, self.rng, self.noise)
+                x = reverse_diffusion(prior, z.reshape(shape), rho, prior_steps(rho), s.label, self.rng, self.noise)
                 bar.step(f"error {100 * self.photos.eta:.1f} %")
         return x
 

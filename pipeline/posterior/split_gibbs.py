@@ -150,26 +150,6 @@ def draw_light(likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rh
     return elliptical_slice(z, target, reference, slices, rng, noise)
 
 
-def draw_prior(prior, z: torch.Tensor, rho: float, steps: int, label, rng, noise, end: float = 0.01) -> torch.Tensor:
-    """x | z: the reverse diffusion from noise level rho, where z is the noisy code, to none; codes (1, 3, h, w).
-
-    SDE-DPM-Solver++(2M) of Lu et al. (2022) in EDM's variance-exploding form, each call of the network under a random
-    roll of the columns (DPI, Eq. 19).
-    """
-    levels = np.append(np.geomspace(rho, min(end, 0.3 * rho), steps), 0.0)
-    x, before, h_before = z, None, 0.0
-    for t, s in zip(levels[:-1], levels[1:]):
-        columns = int(rng.integers(x.shape[-1]))
-        clean = prior.denoise(x.roll(columns, -1), float(t), label).roll(-columns, -1)
-        if s == 0:
-            return clean
-        h, keep = np.log(t / s), (s / t) ** 2
-        ahead = clean if before is None else clean + 0.5 * h / h_before * (clean - before)
-        x = keep * x + (1 - keep) * ahead + s * np.sqrt(1 - keep) * torch.randn(x.shape, generator=noise)
-        before, h_before = clean, h
-    return x
-
-
 def prior_steps(rho: float) -> int:
     """Network calls of x | z: more where the gap is wide."""
     return int(np.clip(round(4 + 4 * np.log10(rho / 0.02)), 3, 14))

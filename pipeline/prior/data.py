@@ -1,60 +1,110 @@
-"""Training data of the prior: real maps from a folder, filtered by licence, and procedural ones."""
+"""Training data of the prior: measured maps, maps expanded from LDR, and procedural ones; one cache serves models of every size."""
 
 from __future__ import annotations
 
-import csv
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..envmap import check_lat_long, resample_area
+from ..envmap import resample_area
 from ..errors import InputError
-from ..images import read_exr
+from ..files import atomic_path
+from ..progress import progress
+from .augment import draw_view
 from .code import scale_of, to_log
-from .network import LABELS
+from .procedural import generate
+from .sources import find_sources, read_source
+
+ROWS = 128              # of the maps in the cache; models have 64 or fewer, so that views can be turned by fractions of their pixels
+HELD_OUT = 10           # one of so many measured maps, by hash of its name, is never trained on
 
 
-def catalogue_rows(path: Path, licence_prefix: str) -> list[dict]:
-    """Rows of the catalogue whose licence starts with the prefix and which are not flagged as low dynamic range."""
-    with open(path, newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    kept = [r for r in rows if r["licence"].startswith(licence_prefix) and r["ldr"] != "1"]
-    if not kept:
-        raise InputError(f"no row has a licence starting with '{licence_prefix}'", path, "check licence_prefix in the configuration")
-    return kept
+def is_held_out(name: str) -> bool:
+    return zlib.crc32(name.encode()) % HELD_OUT == 0
 
 
-def read_maps(folder: Path, rows: list[dict], height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Maps (n, h, 2h, 3) resampled with their energy kept, labels (n,), and which are held out (n,) by name hash."""
-    maps, labels, held = [], [], []
-    for row in rows:
-        path = folder / f"{row['name']}.exr"
-        maps.append(resample_area(check_lat_long(read_exr(path), path), height, 2 * height))
-        labels.append(LABELS.index(row["class"]))
-        held.append(zlib.crc32(row["name"].encode()) % 10 == 0)
-    return np.stack(maps), np.array(labels), np.array(held)
+def scale_free(env: np.ndarray) -> np.ndarray:
+    """A map divided by its scale, whose exposure carries no information about the place (`code.scale_of`)."""
+    return env / max(scale_of(env), 1e-12)
 
 
-def to_codes(maps: np.ndarray) -> np.ndarray:
-    """Divide every map by its scale and take logarithms: (n, 3, h, w)."""
-    return np.stack([to_log(m / scale_of(m)) for m in maps])
+def half(env: np.ndarray) -> np.ndarray:
+    """Radiance as float16 square roots: a sun stays in range, and the relative error below 0.1 %."""
+    return np.sqrt(np.maximum(env, 0)).astype(np.float16)      # rounding of the resampling leaves -1e-9 here and there
+
+
+def radiance(stored: np.ndarray) -> np.ndarray:
+    """Inverse of `half`."""
+    return stored.astype(np.float32) ** 2
+
+
+def make_cache(folder: Path, catalogue: Path | None, licence_prefix: str, procedural: int, seed: int, cache: Path) -> None:
+    """Read and make all maps and write them to `cache` (.npz): see `Data`. Raises InputError for unusable files."""
+    sources = find_sources(folder, catalogue, licence_prefix)
+    maps = [half(scale_free(resample_area(read_source(s.path), ROWS, 2 * ROWS))) for s in progress(sources, "reading maps")]
+    made, made_labels = generate(procedural, ROWS, seed)
+    expanded = np.array([s.expanded for s in sources])
+    held = np.array([is_held_out(s.path.stem) for s in sources]) & ~expanded
+    with atomic_path(cache) as temporary, open(temporary, "wb") as file:
+        np.savez(file, maps=np.stack(maps + [half(scale_free(m)) for m in made]),
+                 labels=np.concatenate([[s.label for s in sources], made_labels]).astype(int),
+                 made=np.concatenate([expanded, np.ones(len(made), bool)]), held=np.concatenate([held, np.zeros(len(made), bool)]))
+
+
+@dataclass
+class Data:
+    """maps (n, ROWS, 2 ROWS, 3): `half` of scale-free radiance; labels (n,): index in LABELS, len(LABELS) for unknown; made (n,):
+    procedural or expanded from LDR; held (n,): never trained on. mean, std: of the value code, from measured maps trained on.
+    """
+    maps: np.ndarray
+    labels: np.ndarray
+    made: np.ndarray
+    held: np.ndarray
+    height: int
+    mean: float = 0.0
+    std: float = 1.0
+
+    @classmethod
+    def load(cls, cache: Path, height: int) -> "Data":
+        """Raises InputError when `cache` was not written by `make_cache` or has no measured map to train on."""
+        try:
+            with np.load(cache) as file:
+                data = cls(*(file[k] for k in ("maps", "labels", "made", "held")), height)
+        except (OSError, KeyError, ValueError) as error:
+            raise InputError(f"not a cache of training maps ({type(error).__name__}: {error})", cache, "remove it; it is made anew") from error
+        if not (~data.made & ~data.held).any():
+            raise InputError("no measured map is left to train on", cache, "give more .exr or .hdr maps")
+        known = data.logs(~data.made & ~data.held)
+        data.mean, data.std = float(known.mean()), float(known.std())
+        return data
+
+    def logs(self, chosen: np.ndarray) -> np.ndarray:
+        """Log radiance (k, 3, height, 2 height) of the chosen maps as they are."""
+        small = (resample_area(radiance(m), self.height, 2 * self.height) for m in self.maps[chosen])
+        return np.stack([to_log(scale_free(m)) for m in small]) if chosen.any() else np.zeros((0, 3, self.height, 2 * self.height), np.float32)
+
+    def codes(self, logs: np.ndarray) -> np.ndarray:
+        """The value code's affine part, float32."""
+        return ((logs - self.mean) / (2 * self.std)).astype(np.float32)
+
+    def measured(self, held: bool) -> np.ndarray:
+        """Codes (k, 3, height, 2 height) of the measured maps that are, or are not, held out."""
+        return self.codes(self.logs(~self.made & (self.held == held)))
 
 
 class Batches:
-    """Endless random batches: real maps with probability `real_share`, random yaw, random mirror."""
+    """Endless random batches of augmented views: measured maps with probability `real_share`."""
 
-    def __init__(self, real, real_labels, made, made_labels, real_share: float, seed: int):
-        self.sets = [(real, real_labels), (made, made_labels)]
-        self.share, self.rng = (real_share if len(made) else 1.0), np.random.default_rng(seed)
+    def __init__(self, data: Data, real_share: float, seed: int):
+        self.data, self.rng = data, np.random.default_rng(seed)
+        self.sets = [np.flatnonzero(~data.made & ~data.held), np.flatnonzero(data.made)]
+        self.share = real_share if len(self.sets[1]) else 1.0
 
-    def draw(self, n: int) -> tuple[np.ndarray, np.ndarray]:
-        """Codes (n, 3, h, w) and labels (n,)."""
-        codes, labels = [], []
-        for _ in range(n):
-            source, names = self.sets[int(self.rng.random() >= self.share)]
-            k = self.rng.integers(len(source))
-            x = np.roll(source[k], self.rng.integers(source.shape[-1]), -1)
-            codes.append(x[..., ::-1] if self.rng.random() < 0.5 else x)
-            labels.append(names[k])
-        return np.stack(codes), np.array(labels)
+    def draw(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Codes (n, 3, h, w), labels (n,) and whether made (n,)."""
+        data = self.data
+        chosen = [self.rng.choice(self.sets[int(self.rng.random() >= self.share)]) for _ in range(n)]
+        views = [to_log(scale_free(draw_view(radiance(data.maps[k]), data.height, self.rng))) for k in chosen]
+        return data.codes(np.stack(views)), data.labels[chosen], data.made[chosen]

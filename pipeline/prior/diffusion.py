@@ -17,11 +17,10 @@ class DiffusionPrior:
         self.model, self.code, self.height, self.width = model.eval().requires_grad_(False), code, height, 2 * height
 
     @classmethod
-    def from_file(cls, file, facts: dict) -> "DiffusionPrior":
-        """From an open .safetensors file written by pipeline.prior.export."""
-        state = {k: file.get_tensor(k).float() for k in file.keys()}
+    def from_tensors(cls, tensors: dict, facts: dict) -> "DiffusionPrior":
+        """From what pipeline.prior.export wrote."""
         model = Denoiser(**facts["network"])
-        model.load_state_dict(state)
+        model.load_state_dict(tensors)
         return cls(model, Code(facts["mean"], facts["std"]), facts["height"])
 
     @property

@@ -1,6 +1,6 @@
-"""Write the averaged weights of a training run as fp16 safetensors.
+"""Write the averaged weights of a training run under weights/, as fp16 safetensors in parts (`parts`).
 
-python -m pipeline.prior.export --run RUN --config configs/prior_small.yaml --out weights/prior_small.safetensors
+python -m pipeline.prior.export --run RUN --out weights/prior_base.safetensors
 """
 
 from __future__ import annotations
@@ -9,30 +9,19 @@ import argparse
 import json
 from pathlib import Path
 
-import numpy as np
-import torch
-from safetensors.torch import save_file
-
-from ..config import read_yaml
-from ..errors import run_stage
-from ..files import atomic_path
+from ..errors import InputError, run_stage
+from .parts import load_parts, part_paths, save_parts
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--run", type=Path, required=True)
-    parser.add_argument("--config", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--run", type=Path, required=True, help="folder of pipeline.prior.train")
+    parser.add_argument("--out", type=Path, required=True, help="NAME.safetensors")
     args = parser.parse_args()
-    config = read_yaml(args.config)
-    state = torch.load(args.run / "checkpoint.pt", map_location="cpu", weights_only=True)
-    data = np.load(args.run / "data.npz")
-    facts = {"network": config["network"], "height": config["height"], "mean": float(data["mean"]), "std": float(data["std"]),
-             "images": state["images"], "real_maps": int((~data["held"]).sum()), "held_out_maps": int(data["held"].sum()),
-             "procedural_maps": len(data["made"])}
-    with atomic_path(args.out) as temporary:
-        save_file({k: v.half().contiguous() for k, v in state["average"].items()}, str(temporary), {"heliograph": json.dumps(facts)})
-    print(json.dumps(facts))
+    if not part_paths(args.run / "average.safetensors"):
+        raise InputError("holds no trained weights (average*.safetensors)", args.run, "train first: python -m pipeline.prior.train")
+    tensors, facts = load_parts(args.run / "average.safetensors")
+    print(json.dumps(facts | {"files": [p.name for p in save_parts({k: v.half() for k, v in tensors.items()}, facts, args.out)]}))
 
 
 if __name__ == "__main__":

@@ -10,11 +10,11 @@ import json
 from pathlib import Path
 
 import numpy as np
-from safetensors.torch import save_file
 
 from ..errors import run_stage
-from ..files import atomic_path
+from .data import Data
 from .gaussian import spectra
+from .parts import save_parts
 
 REAL_SHARE = 0.6        # weight of real maps against procedural ones, as in the diffusion prior's training
 
@@ -23,17 +23,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="data.npz of a training run (pipeline.prior.train)")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--height", type=int, default=32)
     args = parser.parse_args()
-    data = np.load(args.data)
-    real, made = data["real"][~data["held"]], data["made"]
-    codes = (np.concatenate([real, made]).astype(np.float32) - data["mean"]) / (2 * data["std"])
-    weights = np.concatenate([np.full(len(real), REAL_SHARE / len(real)), np.full(len(made), (1 - REAL_SHARE) / len(made))])
-    mean, covariance = spectra(codes, weights)
-    facts = {"format": "gaussian", "mean": float(data["mean"]), "std": float(data["std"]), "height": codes.shape[2],
-             "real_maps": len(real), "procedural_maps": len(made)}
-    with atomic_path(args.out) as temporary:
-        save_file({"mean": mean, "covariance": covariance.contiguous()}, str(temporary), {"heliograph": json.dumps(facts)})
-    print(json.dumps(facts))
+    data = Data.load(args.data, args.height)
+    logs = data.logs(~data.held)
+    made = data.made[~data.held]
+    weights = np.where(made, (1 - REAL_SHARE) / max(made.sum(), 1), REAL_SHARE / (~made).sum())
+    mean, covariance = spectra(data.codes(logs), weights)
+    facts = {"format": "gaussian", "mean": data.mean, "std": data.std, "height": args.height,
+             "real_maps": int((~made).sum()), "made_maps": int(made.sum())}
+    print(json.dumps(facts | {"files": [p.name for p in save_parts({"mean": mean, "covariance": covariance}, facts, args.out)]}))
 
 
 if __name__ == "__main__":

@@ -40,8 +40,8 @@ class GaussianPrior:
         self.values = self.values.clamp_min(1e-8)
 
     @classmethod
-    def from_file(cls, file, facts: dict) -> "GaussianPrior":
-        return cls(file.get_tensor("mean").float(), file.get_tensor("covariance").float(), Code(facts["mean"], facts["std"]))
+    def from_tensors(cls, tensors: dict, facts: dict) -> "GaussianPrior":
+        return cls(tensors["mean"], tensors["covariance"], Code(facts["mean"], facts["std"]))
 
     @property
     def log_spread(self) -> float:

@@ -14,6 +14,7 @@ from torch import nn
 
 SIGMA_DATA = 0.5
 LABELS = ("indoor", "outdoor", "studio", "night")       # index len(LABELS) stands for "no label"
+KINDS = len(LABELS) + 1                                 # a map that is made, not measured, adds KINDS to its index
 
 
 class Conv(nn.Conv2d):
@@ -61,13 +62,17 @@ class Attention(nn.Module):
 
 
 class UNet(nn.Module):
-    """F(x; c_noise, label) on (n, 3, h, w); `channels` per level, each level half the size of the one before."""
+    """F(x; c_noise, label) on (n, 3, h, w); `channels` per level, each level half the size of the one before.
 
-    def __init__(self, channels=(24, 48, 96), blocks=(1, 2, 2), embedding: int = 96):
+    With sources = 2 the label also says whether a map was measured or made (procedural, or expanded from LDR): the made ones
+    teach the shape of scenes, and samples are drawn as measured ones.
+    """
+
+    def __init__(self, channels=(24, 48, 96), blocks=(1, 2, 2), embedding: int = 96, sources: int = 1):
         super().__init__()
         self.embedding = embedding
         self.embed = nn.Sequential(nn.Linear(embedding, embedding), nn.SiLU(), nn.Linear(embedding, embedding))
-        self.label = nn.Embedding(len(LABELS) + 1, embedding)
+        self.label = nn.Embedding(sources * KINDS, embedding)
         self.enter = Conv(4, channels[0])
         self.down, self.up, c, skips = nn.ModuleList(), nn.ModuleList(), channels[0], []
         for level, (width, count) in enumerate(zip(channels, blocks)):

@@ -1,7 +1,7 @@
 """Procedural lat-long lights, so that the prior sees more suns, skies, windows and lamps than a hundred photographs hold.
 
-Outdoor: Mitsuba's sun-and-sky model (Wilkie et al. 2021) over noise ground, skyline and clouds. Indoor: a box room with
-furniture, windows and lamps seen from a random point; surfaces lit by sampled emitters plus an ambient term.
+Outdoor: Mitsuba's sun-and-sky model (Wilkie et al. 2021) over ground, skyline and clouds of noise. Night: lamps over the same.
+Indoor and studio: path-traced rooms (`rooms`). `benchmarks/lights.py` holds their statistics against measured maps.
 Arrays are (h, w, 3) relative radiance.
 """
 
@@ -11,16 +11,21 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from ..envmap import directions, solid_angles
+from ..progress import progress
+from .network import LABELS
 
 SUN_HALF_ANGLE = np.radians(0.2665)
 
 
-def noise(rng, h: int, w: int, smooth: float, octaves: int = 4) -> np.ndarray:
-    """Fractal noise, wrapped in longitude, zero mean and unit variance; `smooth` is the coarsest blur in pixels."""
+def noise(rng, h: int, w: int, smooth: float, octaves: int = 4, persistence: float = 0.5) -> np.ndarray:
+    """Fractal noise, wrapped in longitude, zero mean and unit variance; `smooth` is the coarsest blur in pixels.
+
+    Every octave has half the blur of the one before and `persistence` times its amplitude.
+    """
     out = np.zeros((h, w))
     for octave in range(octaves):
         layer = gaussian_filter(rng.normal(size=(h, w)), smooth / 2**octave, mode=("nearest", "wrap"))
-        out += layer / (layer.std() + 1e-9) / 2**octave
+        out += layer / (layer.std() + 1e-9) * persistence**octave
     return out / out.std()
 
 
@@ -37,127 +42,87 @@ def _sky_radiance(sun: np.ndarray, turbidity: float, albedo: float, d: np.ndarra
 
 
 def outdoor(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
-    """Sun and sky over a noise ground with a skyline and clouds."""
+    """Sun, its glow and sky over a ground with a skyline of hills, trees or buildings, and clouds."""
     d = directions(h, w)
     elevation, azimuth = np.radians(rng.uniform(2, 75)), rng.uniform(0, 2 * np.pi)
     sun = np.array([np.cos(elevation) * np.sin(azimuth), np.sin(elevation), np.cos(elevation) * np.cos(azimuth)])
     turbidity, ground_albedo = rng.uniform(1.5, 9.5), rng.uniform(0.05, 0.5)
     up = np.maximum(d, [-1, 0.02, -1])
     sky = _sky_radiance(sun, turbidity, ground_albedo, up / np.linalg.norm(up, axis=-1, keepdims=True), False)
-    cover = rng.uniform(-1.5, 1.5)
-    clouds = 1 / (1 + np.exp(-3 * (noise(rng, h, w, h / 6, 5) + cover)))
-    grey = sky.mean((0, 1)).mean() * rng.uniform(0.5, 2.5)
-    sky = sky * (1 - clouds[..., None]) + clouds[..., None] * grey * np.exp(0.3 * noise(rng, h, w, h / 8))[..., None]
+    cover = rng.uniform(-2.5, 1.2)
+    clouds = 1 / (1 + np.exp(-rng.uniform(2, 8) * (noise(rng, h, w, h / 6, 6, 0.6) + cover)))
+    grey = sky.mean((0, 1)).mean() * rng.uniform(0.5, 3)
+    sky = sky * (1 - clouds[..., None]) + clouds[..., None] * grey * np.exp(0.4 * noise(rng, h, w, h / 8, 5, 0.6))[..., None]
     row, column = np.unravel_index((d @ sun).argmax(), (h, w))
     flux = _sky_radiance(sun, turbidity, ground_albedo, sun[None], True)[0] * np.pi * SUN_HALF_ANGLE**2
     flux = flux * (1 - clouds[row, column]) ** rng.uniform(1, 4)
-    sky[row, column] += flux / solid_angles(h, w)[row, column]
     ambient = (sky * np.maximum(d[..., 1:2], 0) * solid_angles(h, w)[..., None]).sum((0, 1)) / np.pi + flux * sun[1] / np.pi
-    return _with_ground(rng, sky, d, ambient)
+    spread = np.exp(rng.uniform(np.log(0.05), np.log(0.5)))                 # share of the flux in haze and lens glare
+    sky[row, column] += (1 - spread) * flux / solid_angles(h, w)[row, column]
+    sky += spread * flux * _glow(d @ sun, np.radians(rng.uniform(0.5, 4)), solid_angles(h, w))[..., None]
+    return _with_ground(rng, sky, d, ambient, sun, flux.mean() / ambient.mean())
 
 
-def _with_ground(rng, sky, d, ambient):
-    """Everything below a noise skyline becomes ground, hills, walls or trees: albedo times the light that falls there."""
+def _glow(cosine, width: float, weight) -> np.ndarray:
+    """Glare around the sun, 1 / (1 + (angle / width)^2)^1.5, with unit integral over the sphere."""
+    angle = np.arccos(np.clip(cosine, -1, 1))
+    shape = (1 + (angle / width) ** 2) ** -1.5
+    return shape / (shape * weight).sum()
+
+
+def _skyline(rng, w: int) -> np.ndarray:
+    """Height of hills, trees or buildings over longitude in radians, (w,)."""
+    steps = np.repeat(rng.normal(size=w), rng.integers(2, max(3, w // 12), w))[:w] * (rng.random() < 0.4)
+    rough = np.abs(noise(rng, 1, w, w / 12, 7, rng.uniform(0.4, 0.8))[0]) + np.abs(steps)
+    return np.radians(rng.choice([1, 5, 15, 30]) * rough + rng.uniform(-2, 6))
+
+
+def _with_ground(rng, sky, d, ambient, sun, directness):
+    """Everything below a skyline becomes ground, hills, walls or trees: albedo times the light that falls there."""
     h, w = sky.shape[:2]
-    height = np.radians(rng.choice([1, 5, 15, 30]) * np.abs(noise(rng, 1, w, w / 12, 4)[0]) + rng.uniform(-2, 6))
-    color = rng.uniform(0.3, 1) * rng.uniform(0.75, 1, 3) * rng.choice([[0.35, 0.3, 0.22], [0.2, 0.3, 0.1], [0.5, 0.5, 0.5]])
-    ground = ambient * color * np.exp(rng.uniform(0.1, 0.6) * noise(rng, h, w, h / 6, 5))[..., None]
+    grain = rng.uniform(0.3, 0.8)
+    color = rng.uniform(0.3, 1) * rng.uniform(0.75, 1, 3) * rng.choice([[0.35, 0.3, 0.22], [0.2, 0.3, 0.1], [0.5, 0.5, 0.5], [0.5, 0.4, 0.2]])
+    ground = ambient * color * np.exp(rng.uniform(0.1, 0.7) * noise(rng, h, w, h / 6, 6, grain))[..., None]
+    shade = noise(rng, h, w, h / 6, 4) > rng.uniform(0, 2.5)                  # cast shadows lack the sun's share
+    ground = np.where(shade[..., None], ground * (1 - min(0.9, 0.7 * directness)), ground)
     latitude = np.arcsin(np.clip(d[..., 1], -1, 1))
-    upright = ambient * rng.uniform(0.05, 0.5) * rng.uniform(0.4, 1, 3) * np.exp(
-        rng.uniform(0.2, 0.8) * noise(rng, h, w, h / 10, 5))[..., None]
+    facing = np.clip(0.6 - 0.5 * (d @ (sun * [1, 0, 1])), 0.05, 1.2)           # walls opposite the sun are lit by it
+    upright = ambient * rng.uniform(0.05, 0.5) * rng.uniform(0.3, 1, 3) * (facing * np.exp(
+        rng.uniform(0.2, 0.9) * noise(rng, h, w, h / 10, 6, grain)))[..., None]
     below = np.where((latitude > 0)[..., None], upright, ground)
-    return np.where((latitude < height)[..., None], below, sky)
+    return np.where((latitude < _skyline(rng, w))[..., None], below, sky)
 
 
-def _hit_box(origin, d, low, high, inside: bool):
-    """Distance along d to an axis-aligned box (inf when missed), and the axis of the face hit."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t0, t1 = (low - origin) / d, (high - origin) / d
-    near, far = np.fmin(t0, t1), np.fmax(t0, t1)
-    if inside:
-        return far.min(-1), far.argmin(-1)
-    enter, leave = near.max(-1), far.min(-1)
-    return np.where((enter < leave) & (enter > 1e-3), enter, np.inf), near.argmax(-1)
+def night(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
+    """Street lamps and lit windows under a dim sky; the ground is lit by the lamps around it."""
+    d = directions(h, w)
+    latitude = np.arcsin(np.clip(d[..., 1], -1, 1))
+    sky = np.exp(rng.uniform(-0.5, 2.5) + 0.3 * noise(rng, h, w, h / 6, 5))[..., None] * rng.uniform([0.5, 0.6, 0.7], [1.3, 1.0, 1.4])
+    sky = sky * np.exp(-rng.uniform(0, 2) * np.maximum(latitude, 0))[..., None]
+    lamps, lit = np.zeros((h, w, 3)), np.zeros((h, w))
+    for _ in range(rng.integers(2, 25)):
+        row, column = int(h * (0.5 - abs(rng.normal(0.05, 0.12)))) % h, rng.integers(w)
+        color = np.array([1 + rng.uniform(0, 0.8), 1, 1 - rng.uniform(0, 0.8)]) * np.exp(rng.uniform(4, 9)) * 16 / h
+        tall = rng.integers(1, 3)
+        lamps[row:row + tall, column:column + rng.integers(1, 4)] = color
+        near = np.exp(-((d - d[min(int(0.5 * h + rng.uniform(0.03, 0.4) * h), h - 1), column]) ** 2).sum(-1) / rng.uniform(0.02, 0.5))
+        lit += near * rng.uniform(1, 20)
+    front = np.exp(rng.uniform(0.4, 1.2) * noise(rng, h, w, h / 8, 6, rng.uniform(0.5, 0.9)))
+    ground = (0.3 + lit)[..., None] * front[..., None] * rng.uniform([0.3, 0.25, 0.1], [1, 0.8, 0.6])
+    return np.where((latitude < _skyline(rng, w))[..., None], ground, sky) + lamps
 
 
-def _emitters(rng, size):
-    """Windows in the walls and lamps: (axis, at_high_end, low, high, radiance) rectangles on the room's faces."""
-    out = []
-    for _ in range(rng.integers(0, 4)):                                # windows
-        axis, end = rng.choice([0, 2]), rng.integers(0, 2)
-        low, high = np.zeros(3), size.copy()
-        other = 2 - axis
-        width, center = rng.uniform(0.5, 2.5), rng.uniform(0.2, 0.8) * size[other]
-        low[other], high[other] = max(center - width / 2, 0), min(center + width / 2, size[other])
-        low[1], high[1] = rng.uniform(0, 1.0), rng.uniform(1.6, size[1] - 0.05)
-        out.append((axis, end, low, high, rng.uniform(10, 200) * rng.uniform([0.6, 0.8, 1.0], [1.0, 1.0, 1.4])))
-    for _ in range(rng.integers(0 if out else 1, 5)):                  # ceiling lamps, or glowing wall lamps
-        axis = rng.choice([1, 1, 0, 2])
-        side = np.exp(rng.uniform(np.log(0.05), np.log(0.6), 3))
-        center = rng.uniform(0.15, 0.85, 3) * size
-        out.append((axis, 1 if axis == 1 else rng.integers(0, 2), center - side / 2, center + side / 2,
-                    np.exp(rng.uniform(np.log(50), np.log(5000))) * rng.uniform([1, 0.65, 0.3], [1, 1.0, 1.0])))
-    return out
+CLASSES = {"outdoor": 0.45, "indoor": 0.3, "studio": 0.2, "night": 0.05}      # shares of the classes in what is made
 
 
-def indoor(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
-    """A furnished box room; direct light by 24 points per emitter (unoccluded), ambient by the mean radiosity."""
-    size = np.array([rng.uniform(3, 10), rng.uniform(2.3, 4), rng.uniform(3, 10)])
-    eye = rng.uniform(0.25, 0.75, 3) * size
-    angle = rng.uniform(0, 2 * np.pi)
-    c, s = np.cos(angle), np.sin(angle)
-    d = directions(h, w) @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
-    t, axis = _hit_box(eye, d, np.zeros(3), size, True)
-    wall = rng.uniform(0.3, 0.85, (3, 1)) * rng.uniform(0.75, 1, (3, 3))
-    albedo = np.where((axis == 1)[..., None], np.where(d[..., 1:2] > 0, wall[1], wall[2]), wall[0])
-    normal = -np.sign(np.take_along_axis(d, axis[..., None], -1)) * np.eye(3)[axis]
-    emitters, glow = _emitters(rng, size), np.zeros((h, w, 3))
-    point = eye + d * t[..., None]
-    for a, end, low, high, radiance in emitters:
-        on = (axis == a) & ((np.take_along_axis(d, axis[..., None], -1)[..., 0] > 0) == bool(end))
-        tangent = [i for i in range(3) if i != a]
-        on &= ((point[..., tangent] > low[tangent]) & (point[..., tangent] < high[tangent])).all(-1)
-        glow[on] = radiance * np.exp(0.4 * noise(rng, h, w, h / 8))[on][:, None]
-    for _ in range(rng.integers(2, 9)):
-        extent, at = rng.uniform(0.3, 1.8, 3), rng.uniform(0, 1, 3) * size * [1, 0, 1]
-        tb, ab = _hit_box(eye, d, at - extent / 2 * [1, 0, 1], at + extent * [0.5, 1, 0.5], False)
-        near = tb < t
-        t = np.where(near, tb, t)
-        glow[near] = 0
-        albedo[near] = rng.uniform(0.03, 0.8) * rng.uniform(0.5, 1, 3)
-        normal[near] = (-np.sign(np.take_along_axis(d, ab[..., None], -1)) * np.eye(3)[ab])[near]
-    point = eye + d * t[..., None]
-    direct, power = _direct(rng, point, normal, emitters, size)
-    ambient = power / (2 * (size[0] * size[1] + size[1] * size[2] + size[0] * size[2])) * rng.uniform(0.3, 0.9)
-    texture = np.exp(rng.uniform(0.05, 0.35) * noise(rng, h, w, h / 12, 5))[..., None]
-    return np.where(glow > 0, glow, albedo * texture * (direct / np.pi + ambient))
-
-
-def _direct(rng, point, normal, emitters, size):
-    """Irradiance (h, w, 3) from rectangles, and the total power that they emit (3,)."""
-    out, power = np.zeros(point.shape), np.zeros(3)
-    for axis, end, low, high, radiance in emitters:
-        low, high = np.clip(low, 0, size), np.clip(high, 0, size)
-        tangent = [i for i in range(3) if i != axis]
-        area = np.prod((high - low)[tangent])
-        power += np.pi * area * radiance
-        for _ in range(24):
-            q = rng.uniform(low, high)
-            q[axis] = size[axis] * end
-            v = q - point
-            r2 = (v**2).sum(-1) + 0.05
-            cosines = np.maximum((normal * v).sum(-1), 0) * np.abs(v[..., axis]) / r2
-            out += (cosines / r2 * area / 24)[..., None] * radiance
-    return out, power
-
-
-def generate(count: int, height: int, seed: int, supersample: int = 2) -> tuple[np.ndarray, np.ndarray]:
-    """`count` maps (n, h, 2h, 3) half outdoor, half indoor, and labels as in `network.LABELS` (n,)."""
-    from ..envmap import resample_area
-    from ..progress import progress
-    rng, maps, labels = np.random.default_rng(seed), [], []
+def generate(count: int, height: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """`count` maps (n, h, 2h, 3) and labels as in `network.LABELS` (n,); map k depends on (seed, k) alone."""
+    from . import rooms
+    makers = {"outdoor": outdoor, "indoor": rooms.indoor, "studio": rooms.studio, "night": night}
+    maps, labels = [], []
     for k in progress(range(count), "procedural lights"):
-        big = (outdoor, indoor)[k % 2](rng, supersample * height, 2 * supersample * height)
-        maps.append(resample_area(big, height, 2 * height))
-        labels.append((1, 0)[k % 2])
-    return np.stack(maps), np.array(labels)
+        rng = np.random.default_rng([seed, k])
+        name = rng.choice(list(CLASSES), p=list(CLASSES.values()))
+        maps.append(makers[name](rng, height, 2 * height).astype(np.float32))
+        labels.append(LABELS.index(name))
+    return np.array(maps, np.float32).reshape(count, height, 2 * height, 3), np.array(labels, int)

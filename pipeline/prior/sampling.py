@@ -1,6 +1,6 @@
-"""Unconditional samples of a prior: DDPM's ancestral sampler with the random yaw roll of DPI's Eq. 19.
+"""Reverse diffusion: from a code seen through noise, or from noise alone, to a draw of the prior.
 
-python -m pipeline.prior.sampling --prior prior_small --count 16 --out sheet.png
+python -m pipeline.prior.sampling --prior prior_base --count 64 --label outdoor --out sheet.png
 """
 
 from __future__ import annotations
@@ -14,42 +14,67 @@ import torch
 
 from ..errors import run_stage
 from ..images import to_srgb8, write_png
-from ..progress import progress
+from ..progress import Bar
 from . import load_prior
-from .schedule import ALPHA_BAR, posterior, sigma, subsequence
+
+FIRST_SIGMA = 40.0      # 80 deviations of the codes: nothing of the data shows through
 
 
-def draw(prior, count: int, steps: int, seed: int, label: str | None = None) -> np.ndarray:
-    """`count` scale-free lights (n, h, w, 3), deterministic in `seed`."""
-    noise, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
-    x = torch.randn((count, 3, prior.height, prior.width), generator=noise)
-    levels = subsequence(steps)
-    with torch.no_grad():
-        for t, s in zip(progress(levels, "prior samples"), list(levels[1:]) + [-1]):
-            roll = int(rng.integers(prior.width))
-            x = x.roll(roll, -1)
-            x0 = prior.denoise(x / np.sqrt(ALPHA_BAR[t]), sigma(t), label)
-            a, b, deviation = posterior(int(t), int(s))
-            x = (a * x0 + b * x + deviation * torch.randn(x.shape, generator=noise)).roll(-roll, -1)
-        return prior.decode(x).numpy().transpose(0, 2, 3, 1)
+def reverse_diffusion(prior, z: torch.Tensor, rho: float, steps: int, label, rng, noise, end: float = 0.01, done=None) -> torch.Tensor:
+    """x | z, z = x + rho n: from noise level rho to none, `steps` network calls; codes (n, 3, h, w).
+
+    SDE-DPM-Solver++(2M) of Lu et al. (2022) in EDM's variance-exploding form, each call of the network under a random roll of
+    the columns (DPI, Eq. 19). `done` is called after every step.
+    """
+    levels = np.append(np.geomspace(rho, min(end, 0.3 * rho), steps), 0.0)
+    x, before, h_before = z, None, 0.0
+    for t, s in zip(levels[:-1], levels[1:]):
+        columns = int(rng.integers(x.shape[-1]))
+        clean = prior.denoise(x.roll(columns, -1), float(t), label).roll(-columns, -1)
+        if done:
+            done()
+        if s == 0:
+            return clean
+        h, keep = np.log(t / s), (s / t) ** 2
+        ahead = clean if before is None else clean + 0.5 * h / h_before * (clean - before)
+        x = keep * x + (1 - keep) * ahead + s * np.sqrt(1 - keep) * torch.randn(x.shape, generator=noise)
+        before, h_before = clean, h
+    return x
 
 
-def sheet(lights: np.ndarray, columns: int = 4, width: int = 192) -> np.ndarray:
-    """Tone-mapped contact sheet (h, w, 3) uint8."""
-    tiles = [cv2.resize(to_srgb8(light * 0.35), (width, width // 2), interpolation=cv2.INTER_NEAREST) for light in lights]
+def draw(prior, count: int, steps: int, seed: int, label: str | None = None, batch: int = 16) -> torch.Tensor:
+    """`count` codes (count, 3, h, w) of the prior alone, deterministic in `seed`."""
+    noise, rng, out = torch.Generator().manual_seed(seed), np.random.default_rng(seed), []
+    with torch.no_grad(), Bar("prior samples", steps * -(-count // batch)) as bar:
+        for first in range(0, count, batch):
+            z = FIRST_SIGMA * torch.randn((min(batch, count - first), 3, prior.height, prior.width), generator=noise)
+            out.append(reverse_diffusion(prior, z, FIRST_SIGMA, steps, label, rng, noise, done=bar.step))
+    return torch.cat(out)
+
+
+def lights(prior, codes: torch.Tensor) -> np.ndarray:
+    """Scale-free radiance (n, h, w, 3)."""
+    return prior.decode(codes).numpy().transpose(0, 2, 3, 1)
+
+
+def sheet(maps: np.ndarray, columns: int = 8, width: int = 192) -> np.ndarray:
+    """Tone-mapped contact sheet (h, w, 3) uint8 of lights (n, h, w, 3)."""
+    tiles = [cv2.resize(to_srgb8(m * 0.35), (width, width // 2), interpolation=cv2.INTER_NEAREST) for m in maps]
+    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
     return np.concatenate([np.concatenate(tiles[k:k + columns], 1) for k in range(0, len(tiles), columns)])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--prior", default="prior_small")
-    parser.add_argument("--count", type=int, default=16)
-    parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--prior", default="prior_base")
+    parser.add_argument("--count", type=int, default=64)
+    parser.add_argument("--steps", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--label")
+    parser.add_argument("--label", help="indoor, outdoor, studio or night; none: the mixture")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
-    write_png(args.out, sheet(draw(load_prior(args.prior), args.count, args.steps, args.seed, args.label)))
+    prior = load_prior(args.prior)
+    write_png(args.out, sheet(lights(prior, draw(prior, args.count, args.steps, args.seed, args.label))))
 
 
 if __name__ == "__main__":
