@@ -27,6 +27,7 @@ from pipeline.envmap import directions, sh_coefficients, solid_angles
 from pipeline.files import write_json
 from pipeline.images import luminance
 from pipeline.posterior.ours import FIRST, LAST
+from pipeline.posterior.pooling import Whole
 from pipeline.posterior.split_gibbs import SLICES, draw_light, noise_gain, prior_steps, widths
 from pipeline.prior import load_prior
 from pipeline.prior.sampling import FIRST_SIGMA, draw, reverse_diffusion
@@ -49,10 +50,10 @@ class Observed:
     def value(self, z: torch.Tensor) -> float:
         return -0.5 * float((((self.y - self.light(z) @ self.A.T) / self.deviation) ** 2).sum())
 
-    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Whole]:
         L = self.light(z)
         J = self.A[None] * (self.prior.log_spread * L)[:, None, :] / self.deviation[:, :, None]
-        return J, (self.y - L @ self.A.T) / self.deviation
+        return J, (self.y - L @ self.A.T) / self.deviation, Whole()
 
 
 def lobes(prior, rng) -> torch.Tensor:

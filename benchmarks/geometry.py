@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pipeline.cameras import load_cameras
-from pipeline.mesh_io import Mesh, load_mesh
+from pipeline.mesh_io import Mesh, load_mesh, sample_surface
 
 
 def umeyama(a: np.ndarray, b: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -29,17 +29,6 @@ def umeyama(a: np.ndarray, b: np.ndarray) -> tuple[float, np.ndarray, np.ndarray
     rotation = u @ sign @ vt
     scale = (d * np.diag(sign)).sum() / ((a - ma) ** 2).sum()
     return scale, rotation, mb - scale * rotation @ ma
-
-
-def sample_surface(mesh: Mesh, count: int, rng) -> np.ndarray:
-    """Uniform points on the surface (count, 3)."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    face = rng.choice(len(area), count, p=area / area.sum())
-    u, v = rng.random((2, count))
-    flip = u + v > 1
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    return a[face] + u[:, None] * (b - a)[face] + v[:, None] * (c - a)[face]
 
 
 def outer(mesh: Mesh, points: np.ndarray) -> np.ndarray:
@@ -81,8 +70,8 @@ def main() -> None:
     theirs = np.stack([truth_pose[v.name][:3, 3] for v in rig.views])
     s, r, t = umeyama(ours, theirs)
     rng, mesh, truth = np.random.default_rng(0), load_mesh(args.mesh), load_mesh(args.truth)
-    a = s * sample_surface(mesh, args.points, rng) @ r.T + t
-    b = sample_surface(truth, 2 * args.points, rng)
+    a = s * sample_surface(mesh, args.points, rng)[0] @ r.T + t
+    b = sample_surface(truth, 2 * args.points, rng)[0]
     b = b[outer(truth, b)]
     diagonal, size = np.linalg.norm(np.ptp(truth.vertices, axis=0)), np.ptp(truth.vertices, axis=0).max()
     a = icp(a, b, 0.02 * diagonal)

@@ -121,7 +121,8 @@ def histograms(prior_lights: np.ndarray, measured: np.ndarray) -> dict:
     out = {}
     for key in tables[0][0]:
         a, b = ([row[key] for row in table] for table in tables)
-        out[key] = {"ks": float(stats.ks_2samp(a, b)[0]), "samples": np.percentile(a, [10, 50, 90]), "measured": np.percentile(b, [10, 50, 90])}
+        out[key] = {"ks": float(stats.ks_2samp(a, b)[0]), "samples": np.percentile(a, [10, 50, 90]),
+                    "measured": np.percentile(b, [10, 50, 90])}
     return out
 
 
@@ -138,14 +139,18 @@ def judged(codes: np.ndarray, spread: float, mean: float, known: np.ndarray, hel
             "statistics": histograms(radiance(codes), radiance(np.concatenate([known, held])))}
 
 
+def unseen(data: Data, others: list[np.ndarray]) -> np.ndarray:
+    """Codes of the maps held out and of other radiance maps that nobody trained on."""
+    logs = [to_log(scale_free(resample_area(m, data.height, 2 * data.height))) for m in others]
+    return np.concatenate([data.measured(True)] + ([data.codes(np.stack(logs))] if logs else []))
+
+
 def judge(name: str, data: Data, others: list[np.ndarray], count: int, steps: int, folder: Path | None) -> dict:
     """A row of the table for the prior called `name`, in that prior's own value code."""
     prior, start = load_prior(name), time.monotonic()
     facts = load_parts(find_prior(name))[1]
     data = Data(data.maps, data.labels, data.made, data.held, prior.height, facts["mean"], facts["std"])
-    known, held = data.measured(False), data.measured(True)
-    if others:
-        held = np.concatenate([held, data.codes(np.stack([to_log(scale_free(resample_area(m, prior.height, prior.width))) for m in others]))])
+    known, held = data.measured(False), unseen(data, others)
     if isinstance(prior, GaussianPrior):
         codes = prior.sample(count, torch.Generator().manual_seed(0))
     else:
@@ -185,8 +190,8 @@ def main() -> None:
     if args.reni:
         codes = np.load(args.reni)["codes"]
         data = Data.load(args.data, codes.shape[2])
-        held = np.concatenate([data.measured(True)] + ([data.codes(np.stack([to_log(scale_free(resample_area(m, *codes.shape[2:]))) for m in others]))] if others else []))
-        rows.append({"prior": "RENI-like", "samples": len(codes)} | judged(codes, 2 * data.std, data.mean, data.measured(False), held))
+        rows.append({"prior": "RENI-like", "samples": len(codes)}
+                    | judged(codes, 2 * data.std, data.mean, data.measured(False), unseen(data, others)))
         print(json.dumps(rows[-1], indent=1, default=lambda v: np.round(v, 3).tolist()), flush=True)
     if args.out:
         write_json(args.out, {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows})

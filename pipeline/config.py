@@ -95,15 +95,16 @@ class Fit(Section):
 class Sample(Section):
     """Posterior samples, Eqs. 13, 16, 19 of DPI."""
     method: str = Field("dpi_paper", description="a key of pipeline.posterior.SAMPLERS")
-    prior: str = Field("prior_small", description="a file stem under weights/, or a path to .safetensors")
+    prior: str = Field("prior_base", description="a file stem under weights/, or a path to .safetensors")
     label: str | None = Field(None, description="class the prior is conditioned on; none: unconditional")
     levels: int = Field(30, ge=2, le=1000, description="split_gibbs: widths of the splitting from coarse to fine")
     stay: int = Field(4, ge=0, le=10000, description="split_gibbs: turns at the finest width")
     points: int = Field(500, ge=20, le=20000, description="split_gibbs: surface points")
     views: int = Field(6, ge=1, le=100, description="split_gibbs: photos per point")
+    light: int = Field(32, ge=4, le=128, description="split_gibbs: rows of the light that the operator resolves; divides the prior's")
     search_prior: str = Field("gaussian_small", description="split_gibbs: Gaussian prior of the search's light")
     search_points: int = Field(120, ge=10, description="split_gibbs: points for the search of start materials")
-    search_tries: int = Field(18, ge=0, description="split_gibbs: proposals per region in that search")
+    search_sweeps: int = Field(3, ge=0, description="split_gibbs: turns of that search over the regions")
     region_steps: int = Field(100, ge=1, description="split_gibbs: Metropolis-Hastings steps of the materials per turn")
     steps: int = Field(250, ge=2, le=1000, description="dpi: noise levels, a sub-sequence of T = 1000")
     pixels: int = Field(4096, ge=16)

@@ -65,9 +65,11 @@ def memory() -> str:
 
 
 def weights() -> str:
-    from .prior import load_prior
-    prior = load_prior("prior_small")
-    return f"light prior loads: {prior.height}x{prior.width}"
+    from .prior import known_priors, load_prior
+    loaded = {name: load_prior(name) for name in known_priors()}
+    if not loaded:
+        raise RuntimeError("there are no weights under weights/")
+    return "light priors load: " + ", ".join(f"{name} {prior.height}x{prior.width}" for name, prior in loaded.items())
 
 
 def writable() -> str:

@@ -29,6 +29,17 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-20)
 
 
+def sample_surface(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Points (count, 3) evenly over the surface and their faces' unit normals (count, 3)."""
+    corners = mesh.vertices[mesh.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    face = rng.choice(len(area), count, p=area / area.sum())
+    b = np.sort(rng.random((count, 2)), axis=1)
+    where = np.einsum("nk,nkc->nc", np.stack([b[:, 0], b[:, 1] - b[:, 0], 1 - b[:, 1]], -1), corners[face])
+    return where, cross[face] / np.maximum(area[face], 1e-20)[:, None]
+
+
 def load_mesh(path: str | Path) -> Mesh:
     """Read a PLY or OBJ with whatever normals and texture coordinates it has (read by Mitsuba's loaders)."""
     path = Path(path)

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from .envmap import solid_angles, uv_from_direction
 from .errors import InputError
-from .mesh_io import load_mesh
+from .mesh_io import load_mesh, sample_surface
 from .observe import Observations
 from .runtime import mitsuba as mi, mitsuba_rays
 import drjit as dr                                             # noqa: E402  (after mitsuba: needs its LLVM path)
@@ -157,14 +157,9 @@ class Transport:
     def _place_nodes(self, mesh_path, points, normals, extra: int) -> None:
         """Radiosity nodes: the rows' points, then random ones over the whole surface; each knows its nearest point."""
         mesh = load_mesh(mesh_path)
-        corners = mesh.vertices[mesh.faces]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.linalg.norm(cross, axis=1)
-        face = self.rng.choice(len(area), extra, p=area / area.sum())
-        b = np.sort(self.rng.random((extra, 2)), axis=1)
-        where = np.einsum("nk,nkc->nc", np.stack([b[:, 0], b[:, 1] - b[:, 0], 1 - b[:, 1]], -1), corners[face])
+        where, facing = sample_surface(mesh, extra, self.rng)
         self.node_position = np.concatenate([points, where])
-        self.node_normal = np.concatenate([normals, cross[face] / np.maximum(area[face], 1e-20)[:, None]])
+        self.node_normal = np.concatenate([normals, facing])
         self.node_point = np.concatenate([np.arange(len(points)), cKDTree(points).query(where)[1]])
         self.node_tree = cKDTree(self.node_position)
         self.reach = 1e-4 * float(np.ptp(mesh.vertices, axis=0).max())

@@ -151,11 +151,11 @@ def test_made_rooms_are_lit():
 
 def test_a_room_reflects_what_its_lamp_gives():
     """A closed grey box under a lamp: mean radiosity = albedo x emitted power / ((1 - albedo) area)."""
-    from pipeline.prior.rooms import Quads, _trace, glowing
+    from pipeline.prior.path_traced import Quads, glowing, trace
     quads = Quads()
     quads.box([-1, -1, -1], [1, 1, 1], np.full(3, 0.5))
     lamp = glowing(np.array([-0.2, 0.99, -0.2]), np.array([0.4, 0, 0]), np.array([0, 0, 0.4]), np.full(3, 10.0))
-    env = _trace(quads, [lamp], np.zeros(3), 32, 64, 64, 1)
+    env = trace(quads, [lamp], np.zeros(3), 32, 64, 64, 1)
     nearest_wall = np.abs(directions(32, 64)).max(-1)
     area = solid_angles(32, 64) / nearest_wall**3                             # of wall per pixel: r = 1 / m, cosine = m
     wall = env.mean(-1) < 0.5                                                 # pixels at the lamp's edge show it in part

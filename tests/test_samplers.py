@@ -8,8 +8,8 @@ from pipeline.prior import load_prior
 from pipeline.runtime import set_threads
 from tests.test_posterior import problem, start, toy                          # noqa: F401  (fixtures)
 
-SMALL = Sample(steps=8, pixels=400, spp=2, texture=32, learning_rate=0.05, levels=4, stay=1, points=50, views=3,
-               region_steps=20, search_points=25, search_tries=1)
+SMALL = Sample(steps=8, pixels=400, spp=2, texture=32, learning_rate=0.05, levels=4, stay=1, points=150, views=4,
+               region_steps=20, search_points=25, search_sweeps=1)
 
 
 @pytest.fixture(autouse=True)

@@ -27,8 +27,9 @@ from ..prior.schedule import ALPHA_BAR, T, posterior, sigma, subsequence
 from ..progress import Bar
 from .problem import Materials, Problem, generators, guided_result, step_seed
 
-RHO_BASE = 30.0      # calibrates rho to the relative data term (problem.py) and codes of standard deviation 0.5
-STEP_LIMIT = 0.5     # largest guidance step in units of the code's standard deviation, root mean square
+RHO_BASE = 30.0 / 2048  # calibrates rho to the relative data term (problem.py) and codes of standard deviation 0.5; per light pixel,
+                        # because a finer grid divides the same gradient among more pixels
+STEP_LIMIT = 0.5        # largest guidance step in units of the code's standard deviation, root mean square
 
 
 def rho(t: int) -> float:
@@ -60,7 +61,8 @@ def dpi_paper(problem: Problem, prior, start: Explanation, settings: Sample, see
             g = problem.gradient(now, problem.batch(settings.pixels, settings.spp, rng), step_seed(rng))
             slope = torch.from_numpy(np.ascontiguousarray(yaw_roll(g.light, columns).transpose(2, 0, 1)))
             pull, = torch.autograd.grad((radiance * slope).sum(), x)                            # Eq. 13
-            move = RHO_BASE * settings.guidance * rho(t) * (T / len(levels)) * pull / (2 * np.sqrt(max(g.loss, 1e-6)))
+            weight = RHO_BASE * prior.height * prior.width * settings.guidance * rho(t) * (T / len(levels))
+            move = weight * pull / (2 * np.sqrt(max(g.loss, 1e-6)))
             size = float(move.square().mean().sqrt())
             move = move * min(1.0, STEP_LIMIT * 0.5 / max(size, 1e-12))
             a, b, deviation = posterior(int(t), int(s))

@@ -1,103 +1,138 @@
 """A start for the chain: region materials by their evidence, with the light integrated out roughly.
 
-Roughness and light explain each other: moving one while the other is held gets stuck at whatever the fit had. Here some
-of the points do for all, the light has the Gaussian prior's leading components only, and is integrated by Laplace's
-method for every roughness and metallic tried.
+Roughness and light explain each other: moving one while the other is held gets stuck at whatever the fit had. Here some of the points
+do for all, the light has the Gaussian prior's leading modes only, and region after region draws its roughness and metallic from
+all candidates, the light and the region's colour integrated out by Laplace's method for each:
+
+    log p(y | k) ~ l(c, k) + b' H^-1 b / 2 - log det H / 2,   H = I + sum over regions J' J,   b = sum J' r - c
+
+Letters: c (K,) coefficients of the modes, J (3 n, K) and r (3 n,) whitened rows of one region linearised at c (coded.ModeCode).
 """
 
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from ..prior.gaussian import GaussianPrior
 from ..transport import Rows
+from .coded import ModeCode, Modes
 from .likelihood import Photos, Theta
 from .region_moves import METALLIC, log_prior
-from .split_gibbs import Curvature
+from .split_gibbs import cholesky
 
-COMPONENTS = 320        # of the Gaussian prior, per channel: 95 % of its variance
-ERROR = 0.1             # relative error assumed during the search
-STEPS = 2               # Newton steps on log light, and on the colours, per proposal
+COMPONENTS = 400        # modes of the Gaussian prior: 95 % of its variance
+ERROR, THINNING = 0.1, 3.0      # relative error, and rows per independent one, assumed during the search
+CANDIDATES = METALLIC[[0, 4, 8, 12]]
 
 
 def subset(photos: Photos, points: np.ndarray) -> Photos:
-    """Some of the points only, without light off the object."""
+    """Some of the points only, as one region, without light off the object; `points` sorted."""
     keep = np.isin(photos.rows.point, points)
     lobes, index = copy(photos.lobes), torch.from_numpy(np.flatnonzero(keep))
     lobes.direct = [F[:, index] for F in photos.lobes.direct]
     lobes.off = [[g[keep] for g in G] for G in photos.lobes.off]
-    rows = Rows(photos.rows.observation[keep], np.searchsorted(np.sort(points), photos.rows.point[keep]))
-    out = Photos(photos.transport, lobes, photos.observed[keep], photos.clipped[keep], photos.region[np.sort(points)], 1, rows)
-    out.eta, out.weight = ERROR, np.where(out.clipped, 0.05, 1.0)             # saturated rows say little here
+    rows = Rows(photos.rows.observation[keep], np.searchsorted(points, photos.rows.point[keep]))
+    out = Photos(photos.transport, lobes, photos.observed[keep], photos.clipped[keep], np.zeros(len(points), int), 1, rows)
+    out.eta, out.kappa, out.weight = ERROR, THINNING, np.where(out.clipped, 0.05, 1.0)      # saturated rows say little here
     return out
 
 
+@dataclass
+class Piece:
+    """One region at one candidate: its Theta (of one region), log-likelihood with prior, J'J (K, K) and J'r (K,)."""
+    theta: Theta
+    value: float
+    H: torch.Tensor
+    b: torch.Tensor
+
+
 class Search:
-    """Metropolis-Hastings over each region's roughness and metallic; light codes = mean + B c with c ~ N(0, 1)."""
+    """Draws of each region's roughness and metallic given the other regions'; light codes = mean + modes c with c ~ N(0, 1)."""
 
     def __init__(self, photos: Photos, gaussian: GaussianPrior, log_scale: float, points: int, rng: np.random.Generator):
-        chosen = [rng.permutation(np.flatnonzero(photos.region == r)) for r in range(photos.region.max() + 1)]
-        share = min(1.0, points / len(photos.region))
-        chosen = np.concatenate([c[:max(8, round(share * len(c)))] for c in chosen])    # small regions have a say too
-        self.photos, self.log_scale, self.prior = subset(photos, chosen), log_scale, gaussian
-        self.B = gaussian.basis(COMPONENTS)
-        self.mean = gaussian.flat_mean
+        share, self.parts = min(1.0, points / len(photos.region)), []
+        for r in range(photos.region.max() + 1):
+            mine = rng.permutation(np.flatnonzero(photos.region == r))
+            self.parts.append(subset(photos, np.sort(mine[:max(8, round(share * len(mine)))])))      # small regions have a say too
+        modes = Modes(gaussian, gaussian, COMPONENTS, photos.transport.h)
+        self.coded = ModeCode(self.parts[0], gaussian, log_scale, modes, gaussian.flat_mean)
 
-    def code(self, c: torch.Tensor) -> torch.Tensor:
-        """Code (3, M) of coefficients (3, k)."""
-        return self.mean + c @ self.B.T
+    def light(self, c: torch.Tensor) -> np.ndarray:
+        """What the operator acts on (M', 3), of coefficients (K,)."""
+        return self.coded.light(self.coded.code(c[None]))
 
-    def radiance(self, c: torch.Tensor) -> torch.Tensor:
-        """(3, M)"""
-        return float(np.exp(self.log_scale)) * self.prior.decode(self.code(c))
+    def linear(self, c: torch.Tensor) -> tuple[np.ndarray, torch.Tensor]:
+        """The light (M', 3) at c and its change per mode (3, K, M')."""
+        return self.light(c), self.coded.modes.moved(self.coded.slopes(self.coded.code(c[None]))[1])
 
-    def solve(self, theta: Theta, c: torch.Tensor) -> tuple[float, Theta, torch.Tensor]:
-        """Log evidence with the light integrated out, mean colours that fit, coefficients (3, k); from a start c."""
-        photos, theta = self.photos, theta.copy()
-        for _ in range(STEPS):
-            photos.set(theta)
-            L = self.radiance(c)
-            T, y, _ = photos.whitened(L.T.numpy().astype(np.float64))
-            J = torch.stack([(t * (self.prior.log_spread * l)) @ self.B for t, l in zip(T, L)])
-            residual = y - torch.einsum("cnm,cm->cn", T, L)
-            A = [Curvature(j, 1.0) for j in J]
-            step = torch.stack([a.solve(j.T @ r - x) for a, j, r, x in zip(A, J, residual, c)])
-            c = c + step * min(1.0, 3.0 / float(step.abs().max()))
-            theta = self.colours(theta, c)
-        photos.set(theta)
-        value = photos.value(self.radiance(c).T.numpy().astype(np.float64)) - 0.5 * float(c.square().sum())
-        return value - 0.5 * sum(a.log_determinant() for a in A) + float(log_prior(theta).sum()), theta, c
+    def piece(self, r: int, theta: Theta, light: np.ndarray, moved: torch.Tensor) -> Piece:
+        """Region r with materials theta, its colour fitted to this light."""
+        part = self.parts[r]
+        part.set(theta)
+        theta = fitted_colour(part, light)
+        part.set(theta)
+        T, y, _ = part.whitened(light)
+        residual = y - torch.einsum("cnm,mc->cn", T, torch.from_numpy(light.astype(np.float32)))
+        J = torch.einsum("cnm,ckm->cnk", T, moved).reshape(-1, moved.shape[1])
+        return Piece(theta, part.value(light) + float(log_prior(theta).sum()), J.T @ J, J.T @ residual.reshape(-1))
 
-    def colours(self, theta: Theta, c: torch.Tensor) -> Theta:
-        """Mean and spread of the points' best base colours in each region."""
-        photos, out = self.photos, theta.copy()
-        U, W = photos.predict(self.radiance(c).T.numpy().astype(np.float64))
-        v = (theta.tau[photos.region, None] * theta.mu[photos.region]) ** 2
-        precision, pull, _ = photos.sums(U, W, np.zeros_like(U))
-        colour = np.clip((pull + theta.mu[photos.region] / v) / (precision + 1 / v), 1e-3, 1.2)
-        for r in range(len(theta.m)):
-            mine = colour[photos.region == r]
-            out.mu[r] = np.clip(mine.mean(0), 0.01, 0.95)
-            out.tau[r] = np.clip((mine.std(0) / out.mu[r]).mean(), 0.05, 1.5)
-        return out
+    def draw_region(self, r: int, pieces: list[Piece], c: torch.Tensor, rng) -> tuple[Piece, torch.Tensor]:
+        """A candidate for region r by its evidence, and the light's step that goes with it (K,)."""
+        light, moved = self.linear(c)
+        others = [p for k, p in enumerate(pieces) if k != r]
+        H = torch.eye(len(c)) + sum(p.H for p in others)
+        b = sum((p.b for p in others), -c)
+        found = []
+        for level in range(len(self.parts[r].lobes.levels)):
+            for m in CANDIDATES:
+                new = pieces[r].theta.copy()
+                new.level[0], new.m[0] = level, m
+                piece = self.piece(r, new, light, moved)
+                factor = cholesky(H + piece.H)
+                step = torch.cholesky_solve((b + piece.b)[:, None], factor)[:, 0]
+                gain = 0.5 * float((b + piece.b) @ step) - float(factor.diagonal().log().sum())
+                found.append((piece.value + gain, piece, step))
+        values = np.array([v for v, _, _ in found])
+        odds = np.exp(values - values.max())
+        _, piece, step = found[rng.choice(len(found), p=odds / odds.sum())]
+        return piece, step
 
-    def run(self, theta: Theta, tries: int, rng: np.random.Generator) -> tuple[Theta, torch.Tensor]:
-        """Theta and the light's coefficients (3, k) after `tries` proposals per region."""
-        c = torch.zeros(3, self.B.shape[1])
-        for _ in range(3):
-            now, theta, c = self.solve(theta, c)
-        levels = len(self.photos.lobes.levels)
-        for turn in range(tries):
-            for r in rng.permutation(len(theta.m)):
-                new = theta.copy()
-                if turn % 3 == 0:                                             # anywhere, then nearby
-                    new.level[r], new.m[r] = rng.integers(levels), METALLIC[rng.choice([0, 4, 8, 12])]
-                else:
-                    new.level[r] = np.clip(theta.level[r] + rng.choice([-2, -1, 1, 2]), 0, levels - 1)
-                then, new, new_c = self.solve(new, c)
-                if np.log(rng.random()) < then - now:
-                    theta, c, now = new, new_c, then
-        return theta, c
+    def run(self, theta: Theta, sweeps: int, rng: np.random.Generator) -> tuple[Theta, torch.Tensor]:
+        """Theta of all regions and the light's coefficients (1, K) after `sweeps` over the regions."""
+        c, count = torch.zeros(self.coded.size), len(self.parts)
+        single = [Theta(theta.mu[[r]], theta.tau[[r]], theta.level[[r]], theta.m[[r]]) for r in range(count)]
+        at = lambda c: [self.piece(r, single[r], *self.linear(c)) for r in range(count)]
+        pieces = at(c)
+        for _ in range(3):                                                    # the light first, at the fit's materials
+            H = torch.eye(len(c)) + sum(p.H for p in pieces)
+            c = damped(c, torch.cholesky_solve(sum((p.b for p in pieces), -c)[:, None], cholesky(H))[:, 0])
+            pieces = at(c)
+        for _ in range(sweeps):
+            for r in rng.permutation(count):
+                pieces[r], step = self.draw_region(r, pieces, c, rng)
+                c = damped(c, step)
+                single = [p.theta for p in pieces]
+                pieces = at(c)
+        parts = zip(*(vars(p.theta).values() for p in pieces))
+        return Theta(*(np.concatenate(v) for v in parts)), c[None]
+
+
+def damped(c: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
+    """c moved by at most 3 deviations of any mode: log light is linear nearby only."""
+    return c + step * min(1.0, 3.0 / max(float(step.abs().max()), 1e-9))
+
+
+def fitted_colour(part: Photos, light: np.ndarray) -> Theta:
+    """The region's Theta with mean and spread of the points' best base colours under this light."""
+    out = part.theta.copy()
+    U, W = part.predict(light)
+    v = (out.tau[part.region, None] * out.mu[part.region]) ** 2
+    precision, pull, _ = part.sums(U, W, np.zeros_like(U))
+    colour = np.clip((pull + out.mu[part.region] / v) / (precision + 1 / v), 1e-3, 1.2)
+    out.mu[0] = np.clip(colour.mean(0), 0.01, 0.95)
+    out.tau[0] = np.clip((colour.std(0) / out.mu[0]).mean(), 0.05, 1.5)
+    return out

@@ -19,84 +19,26 @@ from ..prior.code import scale_of
 from ..prior.sampling import reverse_diffusion
 from ..progress import Bar
 from ..transport import Transport, choose_rows
+from .coded import Coded, ModeCode, Modes, PixelCode, translated
 from .likelihood import Lobes, Photos, Theta, channel_effect, design_effect
 from .problem import Problem, generators
 from .refine import fill, gather, splat
-from .region_moves import BRIGHTNESS_PRIOR, METALLIC, draw_gauge, draw_regions, log_prior
+from .region_moves import METALLIC, draw_gauge, draw_regions, propose_spread
 from .evidence import COMPONENTS, Search
 from .regions import group, texel_regions
-from .split_gibbs import SLICES, draw_light, prior_steps, widths
+from .split_gibbs import SLICES, draw_light, noise_gain, prior_steps
 
-FIRST, LAST = 1.0, 0.01     # widths of the splitting in code units, where the prior's deviation is 0.5
-COLOUR_SPREAD = 0.8         # deviation of log base colour in the reference Gaussian of the colours
+FIRST, LAST = 1.5, 0.02     # noise levels in code units, where the prior's deviation is 0.5
+SWITCH = 0.15               # below, exact splitting; above, log radiance is too far from linear for white noise of that width
+GAUSSIAN_TURNS = 3
 WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
 
 
-class CodedPhotos:
-    """The photos' likelihood as a function of the light's code and the regions' mean colours (LightLikelihood).
-
-    z (3, k + R): k coefficients of the code (the code itself, or with a basis (M, k) and mean (3, M) the code is mean +
-    basis z), then log mean colours, scaled so that N(0, width^2) makes N(BRIGHTNESS_PRIOR, COLOUR_SPREAD^2): light and
-    colours trade against each other and must move together. The exact prior of the colours is part of `value`.
-    """
-
-    def __init__(self, photos: Photos, prior, log_scale: float, width: float, basis=None):
-        self.photos, self.prior, self.log_scale, self.width, self.basis = photos, prior, log_scale, width, basis
-
-    @property
-    def size(self) -> int:
-        return self.prior.height * self.prior.width if self.basis is None else self.basis.shape[1]
-
-    def join(self, code: torch.Tensor, theta: Theta) -> torch.Tensor:
-        """z of coefficients (3, k) and colours."""
-        log_mu = torch.from_numpy(np.log(theta.mu).T.astype(np.float32))
-        return torch.cat([code, (log_mu - BRIGHTNESS_PRIOR[0]) * (self.width / COLOUR_SPREAD)], 1)
-
-    def centre(self, code: torch.Tensor) -> torch.Tensor:
-        """What z is drawn about, for coefficients (3, k) drawn about `code`."""
-        return torch.cat([code, torch.zeros(3, len(self.photos.theta.m))], 1)
-
-    def colours(self, z: torch.Tensor) -> np.ndarray:
-        """(R, 3)"""
-        return np.exp(z[:, self.size:].T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + BRIGHTNESS_PRIOR[0])
-
-    def code(self, z: torch.Tensor) -> torch.Tensor:
-        """(3, M)"""
-        return z[:, :self.size] if self.basis is None else self.prior.flat_mean + z[:, :self.size] @ self.basis.T
-
-    def radiance(self, code: torch.Tensor) -> torch.Tensor:
-        """(3, M) of a code (3, M)"""
-        shape = (1, 3, self.prior.height, self.prior.width)
-        return float(np.exp(self.log_scale)) * self.prior.decode(code.reshape(shape)).reshape(3, -1)
-
-    def light(self, code: torch.Tensor) -> np.ndarray:
-        """(M, 3)"""
-        return self.radiance(code).T.numpy().astype(np.float64)
-
-    def value(self, z: torch.Tensor) -> float:
-        theta = self.photos.theta.copy()
-        theta.mu = self.colours(z)
-        prior = log_prior(theta).sum()
-        if not np.isfinite(prior):
-            return -np.inf
-        self.photos.set(theta)
-        return self.photos.value(self.light(self.code(z))) + prior + 0.5 * float(z[:, self.size:].square().sum()) / self.width**2
-
-    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gauss-Newton."""
-        theta = self.photos.theta.copy()
-        theta.mu = np.minimum(self.colours(z), 0.97)
-        self.photos.set(theta)
-        with torch.enable_grad():
-            leaf = self.code(z).clone().requires_grad_(True)
-            L = self.radiance(leaf)
-            g, = torch.autograd.grad(L.sum(), leaf)                          # decoding is elementwise
-        L = L.detach()
-        T, y, V = self.photos.whitened(L.T.numpy().astype(np.float64))
-        residual = y - torch.einsum("cnm,cm->cn", T, L)
-        T *= g[:, None, :]
-        return torch.cat([T if self.basis is None else T @ self.basis, V * (COLOUR_SPREAD / self.width)], 2), residual
+def schedule(levels: int, stay: int) -> tuple[np.ndarray, np.ndarray]:
+    """Noise levels of the smooth turns and widths of the split ones: `levels` in all from FIRST to LAST, then `stay` more at LAST."""
+    rhos = np.geomspace(FIRST, LAST, levels)
+    return rhos[rhos > SWITCH], np.concatenate([rhos[rhos <= SWITCH], np.full(stay, LAST)])
 
 
 def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts: np.ndarray, levels) -> Theta:
@@ -123,30 +65,31 @@ class Chain:
         rgb = self.obs.rgb[rows.observation]
         mean = np.add.reduceat(rgb, starts) / np.diff(np.append(starts, len(rgb)))[:, None]
         region, self.centers = group(mean)
-        transport = Transport(scene, problem.renderer.mesh, self.obs, rows, prior.height, round(NODES * len(starts)), settings.seed)
+        transport = Transport(scene, problem.renderer.mesh, self.obs, rows, settings.light, round(NODES * len(starts)), settings.seed)
         lobes = Lobes(transport, problem.roughness_min, settings.seed)
         self.photos = Photos(transport, lobes, rgb, self.obs.clipped[rows.observation], region, problem.renderer.max_depth - 1)
         self.theta = start_materials(fit, self.obs.uv[rows.observation], region, starts, lobes.levels)
-        self.width = np.full(len(self.theta.m), 0.05)
+        self.width, self.spread_width = (np.full(len(self.theta.m), 0.05) for _ in range(2))
         self.centre = self.log_scale = float(np.log(scale_of(fit.light)))
-        self.coded = CodedPhotos(self.photos, prior, self.log_scale, FIRST)
         light = self.search()
         self.photos.set(self.theta)
         for _ in range(3):
             self.materials(light, WARM_UP // 3)
+
+    def thin(self, light: np.ndarray) -> None:
+        """Measure how many rows stand for one independent one, from the residuals under this light."""
+        photos, rows = self.photos, self.photos.rows
         colour, U, W = self.colour(light)
-        residual = (self.photos.y - colour[rows.point] * U - W) * np.sqrt(self.photos.precision)
-        neighbours = design_effect(rows, transport.position, self.obs.view[rows.observation], residual.mean(1))
-        self.photos.kappa = channel_effect(residual) * neighbours
+        residual = (photos.y - colour[rows.point] * U - W) * np.sqrt(photos.precision)
+        neighbours = design_effect(rows, photos.transport.position, self.obs.view[rows.observation], residual.mean(1))
+        photos.kappa = channel_effect(residual) * neighbours
 
     def search(self) -> np.ndarray:
-        """Materials to start from, by evidence; the light (M, 3) that goes with them."""
+        """Materials to start from, by evidence; the light (M', 3) that goes with them."""
         self.gaussian = load_prior(self.settings.search_prior)
         search = Search(self.photos, self.gaussian, self.log_scale, self.settings.search_points, self.rng)
-        self.theta, self.start_coefficients = search.run(self.theta, self.settings.search_tries, self.rng)
-        code = search.code(self.start_coefficients)
-        self.start_code = code.reshape(1, 3, self.prior.height, self.prior.width)
-        return self.coded.light(code)
+        self.theta, self.coefficients = search.run(self.theta, self.settings.search_sweeps, self.rng)
+        return search.light(self.coefficients[0])
 
     def colour(self, light: np.ndarray):
         U, W = self.photos.predict(light)
@@ -157,57 +100,82 @@ class Chain:
         nodes = self.photos.nodes(light, self.theta)
         lobes = self.photos.lobes.apply(light, nodes)
         self.theta = draw_regions(self.photos, lobes, self.theta, steps, self.rng, self.width)
-        self.photos.set(self.theta)
-        colour, U, W = self.colour(light)
-        self.photos.draw_noise(U, W, colour, self.rng)
+        with self.photos.row_by_row():
+            self.theta = draw_regions(self.photos, lobes, self.theta, steps // 3, self.rng, self.spread_width, propose_spread)
+            self.photos.set(self.theta)
+            colour, U, W = self.colour(light)
+            self.photos.draw_noise(U, W, colour, self.rng)
 
-    def light_turn(self, coded: CodedPhotos, about: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
-        """Code (or coefficients) drawn about `about` together with the regions' colours; new coefficients (3, k)."""
+    def light_turn(self, coded: Coded, about: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
+        """Unknowns of the light's code drawn about `about` together with the regions' colours, from z on."""
         z = draw_light(coded, coded.centre(about), coded.join(z, self.theta), coded.width, SLICES, self.rng, self.noise)
         self.theta.mu = coded.colours(z)
         self.photos.set(self.theta)
         return z[:, :coded.size]
 
-    def turns_with_gaussian(self, count: int, prior) -> torch.Tensor:
-        """Light | rest with the Gaussian prior's components, in closed form but for the value code; the code (3, M)."""
-        coded = CodedPhotos(self.photos, prior, self.log_scale, 1.0, prior.basis(COMPONENTS))
-        c, nothing = self.start_coefficients, torch.zeros(3, COMPONENTS)
-        with torch.no_grad():
-            for _ in range(count):
-                c = self.light_turn(coded, nothing, c)
-                self.materials(coded.light(coded.code(c)), self.settings.region_steps)
-        return coded.code(c)
+    def turns_with_gaussian(self, count: int) -> torch.Tensor:
+        """Light | rest with the Gaussian prior's modes; the code (3, m) in that prior's units."""
+        modes = Modes(self.gaussian, self.gaussian, COMPONENTS, self.photos.transport.h)
+        coded = ModeCode(self.photos, self.gaussian, self.log_scale, modes, self.gaussian.flat_mean)
+        for _ in range(count):
+            self.coefficients = self.light_turn(coded, torch.zeros(1, coded.size), self.coefficients)
+            self.after_light(coded, coded.code(self.coefficients))
+        self.thin(coded.light(coded.code(self.coefficients)))
+        return coded.code(self.coefficients)
 
-    def gauge(self, z: torch.Tensor, x: torch.Tensor, rho: float) -> torch.Tensor:
-        """Light against base colour; returns z."""
-        U, W = self.photos.predict(self.coded.light(z))
-        spread = self.prior.log_spread                                        # d log radiance / d code
-        gap, count = (z - x).mean(1).numpy(), z.shape[1]
-        pull = lambda d: float(-0.5 * count * ((gap + d / spread) ** 2 - gap**2).sum() / rho**2)
+    def after_light(self, coded: Coded, code: torch.Tensor, shifts=None) -> torch.Tensor:
+        """Scale and materials given the light; the code, moved if `shifts` says what a move costs."""
+        light = coded.light(code)
+        U, W = self.photos.predict(light)
+        pull = shifts or (lambda d: 0.0 if not d.any() else -np.inf)
         self.theta, self.log_scale, shift = draw_gauge(self.photos, U, W, self.theta, self.log_scale, self.centre, pull, 60, self.rng)
         self.photos.set(self.theta)
-        self.coded.log_scale = self.log_scale
-        return z + torch.from_numpy((shift / spread).astype(np.float32))[:, None]
+        coded.log_scale = self.log_scale
+        code = code + torch.from_numpy((shift / coded.prior.log_spread).astype(np.float32))[:, None]
+        self.materials(coded.light(code), self.settings.region_steps)
+        return code
+
+    def smooth_turns(self, code: torch.Tensor, sigmas, bar: Bar) -> torch.Tensor:
+        """Decoupled annealing (DAPS, Zhang et al. 2025): noise on the code, the network's mean under it, and a draw about that mean
+        with the covariance that the Gaussian prior has under the same noise. Code (3, M) in and out.
+        """
+        prior, label = self.prior, self.settings.label
+        modes = Modes(self.gaussian, prior, COMPONENTS, self.photos.transport.h)
+        for sigma in map(float, sigmas):
+            noisy = (code + sigma * torch.randn(code.shape, generator=self.noise)).reshape(1, 3, prior.height, prior.width)
+            mean = prior.denoise(noisy, sigma, label).reshape(3, -1)
+            coded = ModeCode(self.photos, prior, self.log_scale, modes, mean, sigma)
+            c = self.light_turn(coded, torch.zeros(1, coded.size), torch.zeros(1, coded.size))
+            code = self.after_light(coded, coded.code(c))
+            bar.step(f"error {100 * self.photos.eta:.1f} %")
+        return code
+
+    def split_turns(self, code: torch.Tensor, rhos, bar: Bar) -> torch.Tensor:
+        """Split Gibbs (split_gibbs.py): code (3, M) in, a draw of the prior side out."""
+        prior, shape = self.prior, (1, 3, self.prior.height, self.prior.width)
+        coded = PixelCode(self.photos, prior, self.log_scale, float(rhos[0]))
+        z = code + float(rhos[0]) * torch.randn(code.shape, generator=self.noise)
+        x = code
+        for rho in map(float, rhos):
+            coded.width, coded.gain = rho, noise_gain(prior.log_spread, rho)
+            z = self.light_turn(coded, x, z)
+            gap = (z - x).mean(1).numpy()
+            cost = lambda d: float(-0.5 * z.shape[1] * ((gap + d / prior.log_spread) ** 2 - gap**2).sum() / rho**2)
+            z = self.after_light(coded, z, cost)
+            x = reverse_diffusion(prior, z.reshape(shape), rho, prior_steps(rho), self.settings.label, self.rng, self.noise).reshape(3, -1)
+            bar.step(f"error {100 * self.photos.eta:.1f} %")
+        return x
 
     def run(self, seed: int) -> torch.Tensor:
         """All turns; the light's code (1, 3, h, w)."""
-        s, prior = self.settings, self.prior
-        rhos = widths(s.levels, FIRST, LAST, s.stay)
-        with torch.no_grad(), Bar(f"sample {seed}", len(rhos)) as bar:
-            shape = (1, 3, prior.height, prior.width)
-            z = self.start_code.reshape(3, -1)
-            x = reverse_diffusion(prior, self.start_code, FIRST, prior_steps(FIRST), s.label, self.rng, self.noise)
-            for rho in map(float, rhos):
-                flat, self.coded.width = x.reshape(3, -1), rho
-                z = self.gauge(self.light_turn(self.coded, flat, z), flat, rho)
-                self.materials(self.coded.light(z), s.region_steps)
-                x = reverse_diffusion(prior, z.reshape(shape), rho, prior_steps(rho), s.label, self.rng, self.noise)
-                bar.step(f"error {100 * self.photos.eta:.1f} %")
-        return x
+        smooth, split = schedule(self.settings.levels, self.settings.stay)
+        with torch.no_grad(), Bar(f"sample {seed}", len(smooth) + len(split)) as bar:
+            code = translated(self.turns_with_gaussian(GAUSSIAN_TURNS), self.gaussian, self.prior)
+            return self.split_turns(self.smooth_turns(code, smooth, bar), split, bar)
 
     def maps(self, light: np.ndarray, size: int) -> dict:
         """Texture maps: a drawn colour per point spread over its texels, roughness and metallic by region."""
-        colour, _, _ = self.colour(light.reshape(-1, 3).astype(np.float64))
+        colour, _, _ = self.colour(light)
         rows = self.photos.rows
         total = splat(self.obs.uv[rows.observation], np.concatenate([colour[rows.point], np.ones((len(rows.point), 1))], 1), size)
         known = total[..., 3] > 0.05
@@ -221,13 +189,14 @@ class Chain:
     def result(self, code: torch.Tensor, start: Explanation) -> tuple[Explanation, dict]:
         """The draw as maps, and facts."""
         photos, theta, h = self.photos, self.theta, self.prior.height
-        light = self.coded.radiance(code.reshape(3, -1)).T.reshape(h, 2 * h, 3).numpy().astype(np.float32)
+        coded = PixelCode(photos, self.prior, self.log_scale, LAST)
+        light = coded.radiance(code).T.reshape(h, 2 * h, 3).numpy().astype(np.float32)
         facts = {"scale": float(np.exp(self.log_scale)), "scale_drawn": True, "rows": len(photos.rows.point),
                  "points": len(photos.region), "relative_error": photos.eta, "design_effect": photos.kappa,
                  "regions": [{"base_color": theta.mu[r].tolist(), "spread": float(theta.tau[r]), "metallic": float(theta.m[r]),
                               "roughness": photos.lobes.levels[theta.level[r]], "points": int((photos.region == r).sum())}
                              for r in range(len(theta.m))]}
-        return replace(start, light=np.ascontiguousarray(light), **self.maps(light, self.settings.texture)), facts
+        return replace(start, light=np.ascontiguousarray(light), **self.maps(coded.light(code), self.settings.texture)), facts
 
 
 def split_gibbs(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:
@@ -239,6 +208,6 @@ def split_gibbs(problem: Problem, prior, start: Explanation, settings: Sample, s
 def gaussian(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:
     """One posterior sample under the Gaussian prior `settings.search_prior`; `prior` gives the size of the light only."""
     chain = Chain(problem, prior, start, settings, seed)
-    chain.prior = chain.gaussian
-    chain.coded = CodedPhotos(chain.photos, chain.prior, chain.log_scale, 1.0)
-    return chain.result(chain.turns_with_gaussian(max(settings.stay, 1), chain.prior), start)
+    with torch.no_grad():
+        code = translated(chain.turns_with_gaussian(max(settings.stay, 1)), chain.gaussian, prior)
+    return chain.result(code, start)

@@ -29,12 +29,18 @@ def log_prior(theta: Theta) -> np.ndarray:
     return np.where((theta.mu > 0.98).any(1) | (theta.tau > 3), -np.inf, out)
 
 
+def propose_spread(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarray) -> Theta:
+    """Symmetric proposal for every region's spread of base colour."""
+    new = theta.copy()
+    new.tau = theta.tau * np.exp(width * rng.normal(size=len(width)) * 1.5)
+    return new
+
+
 def propose(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarray) -> Theta:
-    """Symmetric proposal for every region: colour and spread always, roughness and metallic half of the time each."""
+    """Symmetric proposal for every region: mean colour always, roughness and metallic half of the time each."""
     new, regions = theta.copy(), len(theta.m)
     common = rng.normal(size=(regions, 1)) * (rng.random((regions, 1)) < 0.5)
     new.mu = theta.mu * np.exp(width[:, None] * (common + 0.5 * rng.normal(size=(regions, 3))))
-    new.tau = theta.tau * np.exp(width * rng.normal(size=regions) * 1.5)
     step = np.where(rng.random(regions) < 0.2, rng.integers(-levels, levels + 1, regions), rng.integers(-1, 2, regions))
     new.level = np.where(rng.random(regions) < 0.5, theta.level + step, theta.level)
     at = np.abs(theta.m[:, None] - METALLIC).argmin(1)
@@ -51,12 +57,12 @@ def rows_of(lobes: np.ndarray, photos: Photos, theta: Theta) -> tuple[np.ndarray
     return mix(lobes[theta.level[photos.row_region], :, rows].transpose(1, 0, 2), theta.m[photos.row_region][:, None])
 
 
-def draw_regions(photos: Photos, lobes: np.ndarray, theta: Theta, steps: int, rng, width: np.ndarray) -> Theta:
+def draw_regions(photos: Photos, lobes: np.ndarray, theta: Theta, steps: int, rng, width: np.ndarray, proposal=propose) -> Theta:
     """`steps` Metropolis-Hastings steps of all regions at once. `width` (R,) adapts towards 30 % acceptance, in place."""
     total = lambda t: np.bincount(photos.region, photos.point_values(*rows_of(lobes, photos, t), t), len(t.m)) + log_prior(t)
     now = total(theta)
     for _ in range(steps):
-        new = propose(theta, len(lobes), rng, width)
+        new = proposal(theta, len(lobes), rng, width)
         then = total(new)
         yes = np.log(rng.random(len(now))) < then - now
         mixed = lambda a, b: np.where(yes.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)

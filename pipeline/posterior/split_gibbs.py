@@ -20,7 +20,8 @@ import numpy as np
 import torch
 from scipy.linalg.blas import ssyrk
 
-NEWTON_STEPS = 2
+NEWTON_STEPS = 8        # at most; fewer when a step gains less than NEWTON_GAIN: slice sampling is exact about any reference
+NEWTON_GAIN = 5.0
 SLICES = 6
 
 
@@ -29,8 +30,8 @@ class LightLikelihood(Protocol):
 
     def value(self, z: torch.Tensor) -> float: ...
 
-    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """J (3, n, M) and r (3, n): log-likelihood of z + d ~ -|r - J d|^2 / 2, channel by channel."""
+    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, object]:
+        """J (3, n, k), r (3, n) and a fold E (pooling.py): log-likelihood of z + d ~ -|r - J E d|^2 / 2, channel by channel."""
 
 
 def noise_gain(spread: float, rho: float) -> float:
@@ -94,26 +95,37 @@ class Laplace:
         self.mode, self.rho = z.clone(), rho
         target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
         best = target(self.mode)
-        for k in range(NEWTON_STEPS):
-            self.J, r = likelihood.expansion(self.mode)
+        for _ in range(NEWTON_STEPS):
+            self.J, r, self.fold = likelihood.expansion(self.mode)
             self.curvature = [Curvature(J, rho) for J in self.J]
-            slope = torch.einsum("cnm,cn->cm", self.J, r) - (self.mode - x) / rho**2
-            step = torch.stack([A.solve(b) for A, b in zip(self.curvature, slope)])
+            step = self.solve(self.fold.up(torch.einsum("cnk,cn->ck", self.J, r)) - (self.mode - x) / rho**2)
             for share in (1.0, 0.5, 0.25, 0.1):
                 new = target(self.mode + share * step)
                 if new > best:
-                    self.mode, best = self.mode + share * step, new
+                    self.mode, gain, best = self.mode + share * step, new - best, new
                     break
             else:
                 break
+            if gain < NEWTON_GAIN:
+                break
+
+    def beside(self, z: torch.Tensor) -> torch.Tensor:
+        """The part of z (3, M) of which the photos say nothing."""
+        return z - self.fold.up(self.fold.down(z))
+
+    def solve(self, b: torch.Tensor) -> torch.Tensor:
+        """A^-1 b, (3, M)."""
+        inner = torch.stack([A.solve(v) for A, v in zip(self.curvature, self.fold.down(b))])
+        return self.rho**2 * self.beside(b) + self.fold.up(inner)
 
     def draw(self, noise: torch.Generator) -> torch.Tensor:
         """A draw of N(0, A^-1), (3, M)."""
-        return torch.stack([A.draw(noise) for A in self.curvature])
+        inner = torch.stack([A.draw(noise) for A in self.curvature])
+        return self.rho * self.beside(torch.randn(self.mode.shape, generator=noise)) + self.fold.up(inner)
 
     def image(self, offset: torch.Tensor) -> torch.Tensor:
-        """J offset (3, n)."""
-        return torch.stack([J @ d for J, d in zip(self.J, offset)])
+        """J E offset (3, n)."""
+        return torch.stack([J @ d for J, d in zip(self.J, self.fold.down(offset))])
 
     def energy(self, offset: torch.Tensor, image: torch.Tensor) -> float:
         """offset^T A offset / 2, given its image."""

@@ -73,7 +73,8 @@ class Data:
             with np.load(cache) as file:
                 data = cls(*(file[k] for k in ("maps", "labels", "made", "held")), height)
         except (OSError, KeyError, ValueError) as error:
-            raise InputError(f"not a cache of training maps ({type(error).__name__}: {error})", cache, "remove it; it is made anew") from error
+            what = f"not a cache of training maps ({type(error).__name__}: {error})"
+            raise InputError(what, cache, "remove it; it is made anew") from error
         if not (~data.made & ~data.held).any():
             raise InputError("no measured map is left to train on", cache, "give more .exr or .hdr maps")
         known = data.logs(~data.made & ~data.held)
@@ -82,8 +83,8 @@ class Data:
 
     def logs(self, chosen: np.ndarray) -> np.ndarray:
         """Log radiance (k, 3, height, 2 height) of the chosen maps as they are."""
-        small = (resample_area(radiance(m), self.height, 2 * self.height) for m in self.maps[chosen])
-        return np.stack([to_log(scale_free(m)) for m in small]) if chosen.any() else np.zeros((0, 3, self.height, 2 * self.height), np.float32)
+        small = [to_log(scale_free(resample_area(radiance(m), self.height, 2 * self.height))) for m in self.maps[chosen]]
+        return np.array(small, np.float32).reshape(-1, 3, self.height, 2 * self.height)
 
     def codes(self, logs: np.ndarray) -> np.ndarray:
         """The value code's affine part, float32."""

@@ -73,17 +73,18 @@ class GaussianPrior:
         """Codes (count, 3, h, w)."""
         return self.mean + self.filtered(torch.randn((count, 3, self.height, self.width), generator=noise), torch.sqrt)
 
-    def basis(self, count: int) -> torch.Tensor:
-        """B (M, count): leading eigenvectors, scaled, of one channel's covariance averaged over channels; codes = mean + B c."""
+    def modes(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """B (count, 3, M) and variances (count,): leading eigenvectors of the covariance over all colours, times their deviation;
+        codes ~ mean + sum of c_k B_k with c ~ N(0, 1), but for the variance left out. All 3 h w modes when `count` is larger.
+        """
         h, w = self.height, self.width
-        mean_cov = torch.einsum("okhe,oke,okge->khg", self.vectors, self.values, self.vectors) / 3
-        values, vectors = torch.linalg.eigh(mean_cov)
-        columns = torch.arange(w)
-        out = []
+        columns, found = torch.arange(w), []
         for k in range(w // 2 + 1):
-            for wave in ([torch.cos] if k in (0, w // 2) else [torch.cos, torch.sin]):
-                line = wave(2 * torch.pi * k * columns / w)
-                line = line / line.norm()
-                out += [(float(values[k, e]), torch.outer(vectors[k, :, e], line)) for e in range(h)]
-        out.sort(key=lambda item: -item[0])
-        return torch.stack([float(v) ** 0.5 * b.reshape(-1) for v, b in out[:count]], 1)
+            waves = [torch.cos] if k in (0, w // 2) else [torch.cos, torch.sin]
+            found += [(float(self.values[o, k, e]), o, k, e, wave) for o in range(3) for e in range(h) for wave in waves]
+        found.sort(key=lambda item: -item[0])
+        B = torch.empty(min(count, len(found)), 3, h * w)
+        for row, (value, o, k, e, wave) in zip(B, found):
+            line = wave(2 * torch.pi * k * columns / w)
+            row[:] = OPPONENT[o][:, None] * (value**0.5 * torch.outer(self.vectors[o, k, :, e], line / line.norm())).reshape(-1)
+        return B, torch.tensor([item[0] for item in found[:count]])

@@ -30,7 +30,8 @@ def _groups(tensors: dict[str, torch.Tensor], limit: int) -> list[dict[str, torc
 def save_parts(tensors: dict[str, torch.Tensor], facts: dict, path: Path, limit: int = PART) -> list[Path]:
     """Write `tensors` with `facts` (JSON) beside each; `path` ends in .safetensors. Older parts of that name are removed."""
     groups = _groups(tensors, limit)
-    names = [path] if len(groups) == 1 else [path.with_name(f"{path.stem}-{k + 1}-of-{len(groups)}.safetensors") for k in range(len(groups))]
+    numbered = [path.with_name(f"{path.stem}-{k + 1}-of-{len(groups)}.safetensors") for k in range(len(groups))]
+    names = numbered if len(groups) > 1 else [path]
     for name, group in zip(names, groups):
         with atomic_path(name) as temporary:
             save_file(group, str(temporary), {"heliograph": json.dumps(facts)})

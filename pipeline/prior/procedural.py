@@ -81,7 +81,7 @@ def _with_ground(rng, sky, d, ambient, sun, directness):
     """Everything below a skyline becomes ground, hills, walls or trees: albedo times the light that falls there."""
     h, w = sky.shape[:2]
     grain = rng.uniform(0.3, 0.8)
-    color = rng.uniform(0.3, 1) * rng.uniform(0.75, 1, 3) * rng.choice([[0.35, 0.3, 0.22], [0.2, 0.3, 0.1], [0.5, 0.5, 0.5], [0.5, 0.4, 0.2]])
+    color = rng.uniform(0.3, 1) * rng.uniform(0.75, 1, 3) * rng.choice(GROUNDS)
     ground = ambient * color * np.exp(rng.uniform(0.1, 0.7) * noise(rng, h, w, h / 6, 6, grain))[..., None]
     shade = noise(rng, h, w, h / 6, 4) > rng.uniform(0, 2.5)                  # cast shadows lack the sun's share
     ground = np.where(shade[..., None], ground * (1 - min(0.9, 0.7 * directness)), ground)
@@ -112,6 +112,7 @@ def night(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
     return np.where((latitude < _skyline(rng, w))[..., None], ground, sky) + lamps
 
 
+GROUNDS = [[0.35, 0.3, 0.22], [0.2, 0.3, 0.1], [0.5, 0.5, 0.5], [0.5, 0.4, 0.2]]     # earth, grass, stone, sand
 CLASSES = {"outdoor": 0.45, "indoor": 0.3, "studio": 0.2, "night": 0.05}      # shares of the classes in what is made
 
 

@@ -1,80 +1,14 @@
-"""Random furnished rooms and product studios, path traced with Mitsuba: indoor lights for the prior's training.
+"""Random furnished rooms and product studios: indoor lights for the prior's training.
 
-Everything is made of rectangles with a colour per vertex: walls, floor, furniture, pictures; windows, ceiling panels, bulbs, shades,
-screens, soft boxes emit. Sunlight through windows is added at the first hit. Units are metres and relative radiance.
+Walls, floor, furniture, pictures are diffuse rectangles; windows, ceiling panels, bulbs, shades, screens, soft boxes emit. The order of
+the random numbers is part of a map's seed.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..runtime import mitsuba as mi, mitsuba_rays
-import drjit as dr                                             # noqa: E402  (after mitsuba: needs its LLVM path)
-
-MAX_DEPTH = 7           # Mitsuba's counting: five bounces of indirect light
-FACES = [(axis, end) for axis in range(3) for end in (0, 1)]
-
-
-class Quads:
-    """Rectangles as one triangle mesh with a colour per vertex."""
-
-    def __init__(self):
-        self.points, self.colors, self.count = [], [], 0
-
-    def add(self, corner, a, b, color) -> None:
-        """A rectangle corner + s a + t b, facing a x b; `color` is (3,) or (n, m, 3), values at n x m points along a and b."""
-        color = np.broadcast_to(color, (2, 2, 3)) if np.ndim(color) == 1 else np.asarray(color)
-        s, t = (np.linspace(0, 1, n)[..., None] for n in color.shape[:2])
-        grid = corner + s[:, None] * a + t[None] * b
-        for i in range(len(s) - 1):
-            for j in range(len(t) - 1):
-                cell = (slice(i, i + 2), slice(j, j + 2))
-                self.points.append(grid[cell].reshape(4, 3))
-                self.colors.append(color[cell].reshape(4, 3))
-                self.count += 1
-
-    def box(self, low, high, color, faces=FACES) -> None:
-        """An axis-aligned box seen from outside."""
-        size = np.asarray(high) - low
-        for axis, end in faces:
-            u, v = [np.eye(3)[(axis + k) % 3] * size for k in (1, 2)]
-            corner = np.asarray(low) + np.eye(3)[axis] * size * end
-            self.add(corner, *((u, v) if end else (v, u)), color)
-
-    def mesh(self):
-        """A two-sided diffuse Mitsuba mesh of these reflectances."""
-        props = mi.Properties()
-        reflectance = {"type": "mesh_attribute", "name": "vertex_color"}
-        props["mesh_bsdf"] = mi.load_dict({"type": "twosided", "b": {"type": "diffuse", "reflectance": reflectance}})
-        faces = (np.array([[0, 2, 3], [0, 3, 1]])[None] + 4 * np.arange(self.count)[:, None, None]).reshape(-1, 3)
-        mesh = mi.Mesh("quads", 4 * self.count, 2 * self.count, props=props, has_vertex_normals=False)
-        params = mi.traverse(mesh)
-        params["vertex_positions"] = np.concatenate(self.points).astype(np.float32).ravel()
-        params["faces"] = faces.astype(np.uint32).ravel()
-        params.update()
-        mesh.add_attribute("vertex_color", 3, np.concatenate(self.colors).astype(np.float32).ravel())
-        return mesh
-
-
-def glowing(corner, a, b, radiance) -> dict:
-    """Mitsuba rectangle corner + s a + t b that emits `radiance` towards a x b: (3,), or (n, m, 3) along a and b.
-
-    As a bitmap, because Mitsuba samples emitters by bitmaps but not by colours of vertices.
-    """
-    normal = np.cross(a, b)
-    area = np.linalg.norm(normal)
-    matrix = np.eye(4)
-    matrix[:3] = np.stack([a / 2, b / 2, normal / area, corner + a / 2 + b / 2], 1)
-    image = np.ascontiguousarray(np.broadcast_to(radiance, (2, 2, 3)) if np.ndim(radiance) == 1 else np.swapaxes(radiance, 0, 1), np.float32)
-    return {"type": "rectangle", "to_world": mi.ScalarTransform4f(matrix), "bsdf": {"type": "diffuse", "reflectance": 0.1},
-            "emitter": {"type": "area", "sampling_weight": float(area * image.mean() + 1e-6), "radiance": {
-                "type": "bitmap", "data": mi.TensorXf(image), "raw": True, "wrap_mode": "clamp"}}}
-
-
-def bulb(center, radius: float, radiance) -> dict:
-    """Mitsuba sphere that emits `radiance` (3,)."""
-    return {"type": "sphere", "center": [float(c) for c in center], "radius": float(radius), "emitter": {
-        "type": "area", "sampling_weight": float(4 * np.pi * radius**2 * np.mean(radiance)), "radiance": {"type": "rgb", "value": [float(c) for c in radiance]}}}
+from .path_traced import FACES, Quads, bulb, glowing, trace
 
 
 def warm(rng) -> np.ndarray:
@@ -115,14 +49,15 @@ def _shell(rng, quads: Quads, size: np.ndarray) -> None:
         u, v = [np.eye(3)[(axis + k) % 3] * size for k in (1, 2)]
         corner = np.eye(3)[axis] * size * end
         if axis == 1:
-            color = textured(rng, paint(rng, *((0.2, 0.85, 0.05) if end else (0.03, 0.45, 0.3))), 25, 25, rng.uniform(0.03, 0.5))
+            tone = (0.2, 0.85, 0.05) if end else (0.03, 0.45, 0.3)
+            color = textured(rng, paint(rng, *tone), 25, 25, rng.uniform(0.03, 0.5))
         else:
             color = textured(rng, wall * np.exp(chroma * rng.normal(size=3)), 17, 17, rng.uniform(0, 0.4))
         quads.add(corner, *((v, u) if end else (u, v)), color)
 
 
 def _on_wall(rng, size, width, height, bottom, gap):
-    """A random upright rectangle `gap` in front of a wall, facing the room: corner, a, b, and the wall's (axis, end)."""
+    """A random upright rectangle `gap` in front of a wall, facing the room: corner, a, b."""
     axis, end = rng.choice([0, 2]), rng.integers(0, 2)
     along = 2 - axis
     width = min(width, 0.9 * size[along])
@@ -132,12 +67,12 @@ def _on_wall(rng, size, width, height, bottom, gap):
     inward = np.eye(3)[axis] * (-1 if end else 1)
     if np.cross(a, b) @ inward < 0:
         corner, a = corner + a, -a
-    return corner, a, b, (axis, end)
+    return corner, a, b
 
 
 def _window(rng, quads: Quads, size, sky: np.ndarray, level: float) -> dict:
     """A window: bright above, ground below, with bars in front. Returns the emitter."""
-    corner, a, b, _ = _on_wall(rng, size, rng.uniform(0.6, 3.5), rng.uniform(1, 2), rng.uniform(0, 1.1), 0.02)
+    corner, a, b = _on_wall(rng, size, rng.uniform(0.6, 3.5), rng.uniform(1, 2), rng.uniform(0, 1.1), 0.02)
     rows = np.linspace(0, 1, 9)[None, :, None]
     ground = sky.mean() * rng.uniform(0.05, 0.5) * paint(rng, 0.5, 0.9, 0.3)
     horizon = rng.uniform(0.1, 0.8)
@@ -164,7 +99,7 @@ def _lamps(rng, quads: Quads, size) -> list[dict]:
             low[1] = size[1] - 0.03
             out.append(glowing(low, np.array([side[0], 0, 0]), np.array([0, 0, side[2]]), color * np.exp(rng.uniform(3.5, 6))))
         elif kind == "screen":
-            corner, a, b, _ = _on_wall(rng, size, rng.uniform(0.4, 1.4), rng.uniform(0.3, 0.8), rng.uniform(0.7, 1.3), 0.06)
+            corner, a, b = _on_wall(rng, size, rng.uniform(0.4, 1.4), rng.uniform(0.3, 0.8), rng.uniform(0.7, 1.3), 0.06)
             out.append(glowing(corner, a, b, rng.uniform(1, 8) * textured(rng, np.array([0.7, 0.8, 0.9]), 5, 5, 0.5)))
         else:
             half = rng.uniform(0.03, 0.09) if kind == "bulb" else rng.uniform(0.12, 0.25)
@@ -177,76 +112,74 @@ def _lamps(rng, quads: Quads, size) -> list[dict]:
     return out
 
 
+def _table(rng, quads: Quads, low, high, color) -> None:
+    high[1] = rng.uniform(0.4, 0.8)
+    quads.box([low[0], high[1] - 0.05, low[2]], high, color)
+    for x in (low[0], high[0] - 0.06):
+        for z in (low[2], high[2] - 0.06):
+            quads.box([x, 0, z], [x + 0.06, high[1] - 0.05, z + 0.06], color)
+
+
+def _sofa(rng, quads: Quads, low, high, color) -> None:
+    quads.box(low, [high[0], 0.45, high[2]], color)
+    quads.box(low, [high[0], 0.85, low[2] + 0.25], color)
+
+
+def _shelf(rng, quads: Quads, low, high, color) -> None:
+    quads.box(low, high, color)
+    for y in np.arange(0.15, high[1] - 0.1, 0.35):
+        books = np.clip(rng.uniform(0.05, 0.7, (9, 2, 3)), 0, 1)
+        quads.add(np.array([low[0], y, high[2] + 0.01]), np.array([high[0] - low[0], 0, 0]), np.array([0, 0.28, 0]), books)
+
+
+def _cupboard(rng, quads: Quads, low, high, color) -> None:
+    quads.box(low, high, textured(rng, color, 4, 4, rng.uniform(0, 0.8)))
+
+
+def _picture(rng, quads: Quads, size) -> None:
+    corner, a, b = _on_wall(rng, size, rng.uniform(0.3, 1.5), rng.uniform(0.3, 1), rng.uniform(0.9, 1.6), 0.01)
+    quads.add(corner, a, b, textured(rng, paint(rng, 0.03, 0.7, 0.4), 4, 4, 0.8))
+
+
+def _door(rng, quads: Quads, size) -> None:
+    corner, a, b = _on_wall(rng, size, 0.9, 2.05, 0, 0.01)
+    quads.add(corner, a, b, textured(rng, paint(rng, 0.03, 0.7, 0.4), 4, 4, 0.1))
+
+
+ON_WALLS = {"picture": _picture, "door": _door}
+ON_FLOOR = {"box": _cupboard, "table": _table, "sofa": _sofa, "shelf": _shelf}
+SMALLEST, LARGEST = np.array([0.15, 0.15, 0.15]), np.array([2.2, 2.4, 1.2])
+
+
 def _furniture(rng, quads: Quads, size, eye) -> None:
     """Cupboards, tables, sofas, shelves, pictures, doors; nothing within 0.5 m of the eye."""
     for _ in range(int(np.exp(rng.uniform(np.log(4), np.log(45))))):
         kind = rng.choice(["box", "box", "table", "sofa", "shelf", "picture", "picture", "door"])
-        if kind in ("picture", "door"):
-            tall = kind == "door"
-            corner, a, b, _ = _on_wall(rng, size, 0.9 if tall else rng.uniform(0.3, 1.5), 2.05 if tall else rng.uniform(0.3, 1), 0 if tall else rng.uniform(0.9, 1.6), 0.01)
-            quads.add(corner, a, b, textured(rng, paint(rng, 0.03, 0.7, 0.4), 4, 4, 0.1 if tall else 0.8))
+        if kind in ON_WALLS:
+            ON_WALLS[kind](rng, quads, size)
             continue
-        extent = np.exp(rng.uniform(np.log([0.15, 0.15, 0.15]), np.log([2.2, 2.4, 1.2])))[[0, 1, 2] if rng.random() < 0.5 else [2, 1, 0]]
+        extent = np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST)))[[0, 1, 2] if rng.random() < 0.5 else [2, 1, 0]]
         low = rng.uniform(0, 1, 3) * (size - extent)
         low[1] = 0
         if (np.abs(low + extent / 2 - eye)[[0, 2]] < extent[[0, 2]] / 2 + 0.5).all():
             continue
-        high, color = low + extent, paint(rng, 0.02, 0.6, 0.5)
-        if kind == "table":
-            high[1] = rng.uniform(0.4, 0.8)
-            quads.box([low[0], high[1] - 0.05, low[2]], high, color)
-            for x in (low[0], high[0] - 0.06):
-                for z in (low[2], high[2] - 0.06):
-                    quads.box([x, 0, z], [x + 0.06, high[1] - 0.05, z + 0.06], color)
-        elif kind == "sofa":
-            quads.box(low, [high[0], 0.45, high[2]], color)
-            quads.box(low, [high[0], 0.85, low[2] + 0.25], color)
-        elif kind == "shelf":
-            quads.box(low, high, color)
-            for y in np.arange(0.15, high[1] - 0.1, 0.35):
-                quads.add(np.array([low[0], y, high[2] + 0.01]), np.array([extent[0], 0, 0]), np.array([0, 0.28, 0]),
-                          np.clip(rng.uniform(0.05, 0.7, (9, 2, 3)), 0, 1))
-        else:
-            quads.box(low, high, textured(rng, color, 4, 4, rng.uniform(0, 0.8)))
+        ON_FLOOR[kind](rng, quads, low, low + extent, paint(rng, 0.02, 0.6, 0.5))
 
 
-def _trace(quads: Quads, lamps: list[dict], eye, h: int, w: int, spp: int, seed: int, sun=None) -> np.ndarray:
-    """Radiance (h, w, 3) seen from `eye`. sun: (towards it (3,), irradiance (3,)), let in by lamps only."""
-    scene = mi.load_dict({"type": "scene", "room": quads.mesh(), **{f"lamp{k}": q for k, q in enumerate(lamps)}})
-    integrator = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": 20})
-    rng = np.random.default_rng(seed)
-    total = np.zeros((h, w, 3))
-    batch = max(1, 2**19 // (w * spp))                     # rows at a time: memory
-    for first in range(0, h, batch):
-        v = np.repeat(np.arange(first, min(first + batch, h)), w * spp)
-        u = np.tile(np.repeat(np.arange(w), spp), len(v) // (w * spp))
-        ray_d = _along((u + rng.random(len(u))) / w, (v + rng.random(len(v))) / h)
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed * 131 + first, len(u))
-        rays = mitsuba_rays(np.broadcast_to(eye, ray_d.shape), ray_d)
-        L = np.array(integrator.sample(scene, sampler, mi.RayDifferential3f(rays), active=True)[0]).T
-        if sun is not None:
-            L = L + _sunlight(scene, rays, *sun)
-        total[first:first + batch] = L.reshape(-1, w, spp, 3).mean(2)
-    return total
-
-
-def _along(u, v) -> np.ndarray:
-    """Directions (n, 3) of lat-long coordinates (envmap's frame)."""
-    lat, lon = np.pi * (0.5 - v), 2 * np.pi * (0.5 - u)
-    return np.stack([np.cos(lat) * np.sin(lon), np.sin(lat), np.cos(lat) * np.cos(lon)], -1)
-
-
-def _sunlight(scene, rays, towards, irradiance) -> np.ndarray:
-    """Radiance (n, 3) of sunlight that reaches the first hit through an emitter (a window)."""
-    si = scene.ray_intersect(rays)
-    cosine = dr.abs(dr.dot(si.n, mi.Vector3f(towards.tolist())))
-    way = scene.ray_intersect(si.spawn_ray(mi.Vector3f(towards.tolist())))
-    inside = dr.dot(way.n, mi.Vector3f(towards.tolist())) < 0
-    lit = si.is_valid() & way.is_valid() & (way.shape.emitter() != None) & inside      # noqa: E711  (a Dr.Jit comparison)
-    lit &= dr.dot(si.wi, mi.Vector3f(0, 0, 1)) > 0
-    albedo = np.array(si.bsdf().eval_diffuse_reflectance(si)).T
-    return albedo / np.pi * (np.array(cosine) * np.array(lit) * np.array(si.shape.emitter() == None))[:, None] * irradiance   # noqa: E711
+def _soft_box(rng, eye, ceiling: float) -> dict:
+    """A rectangle that faces the eye, brightest in its middle."""
+    toward = np.array([rng.normal(), abs(rng.normal()) * 0.7 + rng.choice([0.2, 0.6, 2.0]), rng.normal()])
+    toward /= np.linalg.norm(toward)
+    at = eye + toward * rng.uniform(1.0, 2.0)
+    at[1] = min(at[1], ceiling - 0.05)
+    a = np.cross(toward, [0, 1, 0.01])
+    a /= np.linalg.norm(a)
+    b = np.cross(toward, a)
+    width, height = np.exp(rng.uniform(np.log(0.15), np.log(1.6), 2))
+    s = np.linspace(-1, 1, 7)
+    fall = np.exp(-rng.uniform(0, 1.5) * s[:, None, None] ** 2 - rng.uniform(0, 1.5) * s[None, :, None] ** 2)
+    level = np.exp(rng.uniform(0.5, 3.5)) * warm(rng) ** rng.uniform(-0.5, 1)
+    return glowing(at - a * width / 2 - b * height / 2, b * height, a * width, level * fall)
 
 
 def indoor(rng: np.random.Generator, h: int, w: int, spp: int = 16) -> np.ndarray:
@@ -264,7 +197,7 @@ def indoor(rng: np.random.Generator, h: int, w: int, spp: int = 16) -> np.ndarra
         if rng.random() < 0.35:
             towards = np.array([rng.normal(), rng.uniform(0.3, 1.2), rng.normal()])
             sun = towards / np.linalg.norm(towards), level * rng.uniform(5, 20) * np.array([1.1, 1, 0.85])
-    env = _trace(quads, lamps, eye, h, w, spp, int(rng.integers(2**20)), sun)
+    env = trace(quads, lamps, eye, h, w, spp, int(rng.integers(2**20)), sun)
     return white_balanced(rng, np.roll(env, rng.integers(w), 1))
 
 
@@ -272,24 +205,14 @@ def studio(rng: np.random.Generator, h: int, w: int, spp: int = 16) -> np.ndarra
     """A product studio: dark or grey room, soft boxes and strips around the eye, often a bright table or backdrop."""
     size = np.array([rng.uniform(4, 10), rng.uniform(3, 5), rng.uniform(4, 10)])
     eye = np.array([0.5, 0.35, 0.5]) * size + rng.uniform(-0.4, 0.4, 3)
-    quads, lamps = Quads(), []
+    quads = Quads()
     shade = np.exp(rng.uniform(np.log(0.15), np.log(0.95)))
     quads.box([0, 0, 0], size, np.clip(shade * paint(rng, 0.7, 0.9, 0.4), 0.01, 0.9))
-    quads.add(np.array([0, 0.005, 0]), np.array([0, 0, size[2]]), np.array([size[0], 0, 0]), textured(rng, paint(rng, 0.1, 0.7, 0.3), 17, 17, rng.uniform(0, 0.3)))
+    table = textured(rng, paint(rng, 0.1, 0.7, 0.3), 17, 17, rng.uniform(0, 0.3))
+    quads.add(np.array([0, 0.005, 0]), np.array([0, 0, size[2]]), np.array([size[0], 0, 0]), table)
     if rng.random() < 0.4:
         quads.box(eye - [0.8, 0.9, 0.8], eye + [0.8, -0.35, 0.8], paint(rng, 0.05, 0.85, 0.3))
     if rng.random() < 0.6:
         _furniture(rng, quads, size, eye)
-    for _ in range(rng.integers(1, 7)):
-        toward = np.array([rng.normal(), abs(rng.normal()) * 0.7 + rng.choice([0.2, 0.6, 2.0]), rng.normal()])
-        toward /= np.linalg.norm(toward)
-        at = eye + toward * rng.uniform(1.0, 2.0)
-        at[1] = min(at[1], size[1] - 0.05)
-        a = np.cross(toward, [0, 1, 0.01])
-        a /= np.linalg.norm(a)
-        b = np.cross(toward, a)
-        width, height = np.exp(rng.uniform(np.log(0.15), np.log(1.6), 2))
-        fall = np.exp(-rng.uniform(0, 1.5) * np.linspace(-1, 1, 7)[:, None, None] ** 2 - rng.uniform(0, 1.5) * np.linspace(-1, 1, 7)[None, :, None] ** 2)
-        level = np.exp(rng.uniform(0.5, 3.5)) * warm(rng) ** rng.uniform(-0.5, 1)
-        lamps.append(glowing(at - a * width / 2 - b * height / 2, b * height, a * width, level * fall))
-    return white_balanced(rng, _trace(quads, lamps, eye, h, w, spp, int(rng.integers(2**20))))
+    lamps = [_soft_box(rng, eye, size[1]) for _ in range(rng.integers(1, 7))]
+    return white_balanced(rng, trace(quads, lamps, eye, h, w, spp, int(rng.integers(2**20))))

@@ -30,7 +30,8 @@ def find_sources(folder: Path, catalogue: Path | None, licence_prefix: str = "")
 
     Without a catalogue every map is taken, without class. Raises InputError when nothing is left or a listed file is missing.
     """
-    files = {p.stem: p for p in sorted(Path(folder).iterdir()) if p.suffix.lower() in MEASURED + EXPANDABLE} if Path(folder).is_dir() else {}
+    present = sorted(Path(folder).iterdir()) if Path(folder).is_dir() else []
+    files = {p.stem: p for p in present if p.suffix.lower() in MEASURED + EXPANDABLE}
     if not files:
         raise InputError("holds no .exr, .hdr, .jpg or .png map", folder, "point --data at a folder of lat-long environment maps")
     if catalogue is None:

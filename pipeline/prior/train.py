@@ -1,4 +1,4 @@
-"""Train the light prior: EDM loss (Karras et al. 2022, Eq. 8 and Table 1) weighted by solid angle (and 30 % evenly), EMA, resumable.
+"""Train the light prior: EDM loss (Karras et al. 2022, Eq. 8 and Table 1) weighted by solid angle and evenly, half each, EMA, resumable.
 
 python -m pipeline.prior.train --config configs/prior_small.yaml --data MAPS --catalogue CSV --minutes 60 --out RUN
 
@@ -50,9 +50,9 @@ def fixed_loss(model, codes, weights, config: Training) -> float:
 
 
 def row_weights(h: int) -> torch.Tensor:
-    """(h, 2h), sum 1: 70 % by solid angle; 30 % evenly, which keeps the pole rows trained, for all rows are shown."""
+    """(h, 2h), sum 1: half by solid angle; half evenly, which keeps the pole rows trained, for all rows are shown."""
     even = np.full((h, 2 * h), 1 / (2 * h * h))
-    return torch.from_numpy(0.7 * solid_angles(h, 2 * h) / (4 * np.pi) + 0.3 * even).float()
+    return torch.from_numpy(0.5 * solid_angles(h, 2 * h) / (4 * np.pi) + 0.5 * even).float()
 
 
 def learning_rate(config: Training, images: int) -> float:
@@ -112,8 +112,8 @@ class Run:
 
 def facts_of(config: Training, data: Data) -> dict:
     """What the weight files say of themselves."""
-    return {"network": config.network.model_dump(), "height": config.height, "mean": data.mean, "std": data.std, "made_maps": int(data.made.sum()),
-            "real_maps": int((~data.made & ~data.held).sum()), "held_out_maps": int(data.held.sum())}
+    return {"network": config.network.model_dump(), "height": config.height, "mean": data.mean, "std": data.std,
+            "made_maps": int(data.made.sum()), "real_maps": int((~data.made & ~data.held).sum()), "held_out_maps": int(data.held.sum())}
 
 
 def train(config: Training, data: Data, out: Path, minutes: float, device: str) -> None:

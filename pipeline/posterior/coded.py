@@ -1,0 +1,156 @@
+"""The photos' likelihood as a function of a light code and the regions' mean colours (split_gibbs.LightLikelihood).
+
+Light and colours trade against each other and must move together, so that z holds both: the code's unknowns, then the log mean
+colours, scaled so that z ~ N(., width^2) makes them N(BRIGHTNESS_PRIOR, COLOUR_SPREAD^2). The exact prior of the colours is part
+of `value`. PixelCode has a code per pixel; ModeCode the leading modes of the Gaussian prior around a given code.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from ..prior.gaussian import GaussianPrior
+from .likelihood import Photos, Theta
+from .pooling import Fold, Pool, Whole
+from .region_moves import BRIGHTNESS_PRIOR, log_prior
+
+COLOUR_SPREAD = 0.8         # deviation of log base colour in the reference Gaussian of the colours
+
+
+class Coded:
+    """What both share. z is (rows, size + colours); `gain` divides the radiance (split_gibbs.noise_gain)."""
+
+    def __init__(self, photos: Photos, prior, log_scale: float, width: float):
+        self.photos, self.prior, self.log_scale, self.width, self.gain = photos, prior, log_scale, width, 1.0
+        self.pool = Pool(prior.height, photos.transport.h)
+
+    def radiance(self, code: torch.Tensor) -> torch.Tensor:
+        """(3, M) of a code (3, M)"""
+        shape = (1, 3, self.prior.height, self.prior.width)
+        return float(np.exp(self.log_scale)) / self.gain * self.prior.decode(code.reshape(shape)).reshape(3, -1)
+
+    def light(self, code: torch.Tensor) -> np.ndarray:
+        """What the operator acts on, (M', 3)."""
+        return self.pool.down(self.radiance(code)).T.numpy().astype(np.float64)
+
+    def slopes(self, code: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Radiance (3, M) and its derivative in the code (3, M)."""
+        with torch.enable_grad():
+            leaf = code.clone().requires_grad_(True)
+            L = self.radiance(leaf)
+            g, = torch.autograd.grad(L.sum(), leaf)                           # decoding is elementwise
+        return L.detach(), g
+
+    def scaled(self, mu: np.ndarray) -> torch.Tensor:
+        """Colours (R, 3) as numbers in z, (3, R)."""
+        log_mu = torch.from_numpy(np.log(mu).T.astype(np.float32))
+        return (log_mu - BRIGHTNESS_PRIOR[0]) * (self.width / COLOUR_SPREAD)
+
+    def unscaled(self, numbers: torch.Tensor) -> np.ndarray:
+        """Inverse of `scaled`."""
+        return np.exp(numbers.T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + BRIGHTNESS_PRIOR[0])
+
+    def value(self, z: torch.Tensor) -> float:
+        theta = self.photos.theta.copy()
+        theta.mu = self.colours(z)
+        prior = log_prior(theta).sum()
+        if not np.isfinite(prior):
+            return -np.inf
+        self.photos.set(theta)
+        return self.photos.value(self.light(self.code(z))) + prior + 0.5 * float(z[:, self.size:].square().sum()) / self.width**2
+
+    def linear(self, z: torch.Tensor):
+        """Slope g (3, M), T (3, n, M'), residual (3, n), V (3, n, R) at z."""
+        theta = self.photos.theta.copy()
+        theta.mu = np.minimum(self.colours(z), 0.97)
+        self.photos.set(theta)
+        L, g = self.slopes(self.code(z))
+        L = self.pool.down(L)
+        T, y, V = self.photos.whitened(L.T.numpy().astype(np.float64))
+        return g, T, y - torch.einsum("cnm,cm->cn", T, L), V * (COLOUR_SPREAD / self.width)
+
+
+class PixelCode(Coded):
+    """z (3, M + R): the code itself."""
+
+    @property
+    def size(self) -> int:
+        return self.prior.height * self.prior.width
+
+    def join(self, code: torch.Tensor, theta: Theta) -> torch.Tensor:
+        """z of a code (3, M) and colours."""
+        return torch.cat([code, self.scaled(theta.mu)], 1)
+
+    def centre(self, code: torch.Tensor) -> torch.Tensor:
+        """What z is drawn about, for a code drawn about `code`."""
+        return torch.cat([code, torch.zeros(3, len(self.photos.theta.m))], 1)
+
+    def colours(self, z: torch.Tensor) -> np.ndarray:
+        return self.unscaled(z[:, self.size:])
+
+    def code(self, z: torch.Tensor) -> torch.Tensor:
+        return z[:, :self.size]
+
+    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Fold]:
+        """Gauss-Newton."""
+        g, T, residual, V = self.linear(z)
+        fold = Fold(self.pool, g, V.shape[2])
+        return torch.cat([T * fold.root[:, None], V], 2), residual, fold
+
+
+class Modes:
+    """Leading modes of a Gaussian prior, in the codes of `prior`, whose rows the Gaussian's divide."""
+
+    def __init__(self, gaussian: GaussianPrior, prior, count: int, operator: int):
+        ratio = gaussian.log_spread / prior.log_spread
+        B, variance = gaussian.modes(count)                                   # (K, 3, m), (K,)
+        self.B, self.variance = ratio * B, ratio**2 * variance
+        self.fine, self.coarse = Pool(prior.height, gaussian.height), Pool(gaussian.height, operator)
+
+    def around(self, mean: torch.Tensor, weighted: torch.Tensor) -> torch.Tensor:
+        """Code (3, M): mean (3, M) + sum of weighted (K,) modes."""
+        return mean + self.fine.spread(torch.einsum("k,kcm->cm", weighted, self.B))
+
+    def moved(self, g: torch.Tensor) -> torch.Tensor:
+        """Change of the operator's light per mode, (3, K, M'), for slopes g (3, M)."""
+        slope = self.fine.down(g)
+        return torch.stack([self.coarse.down(self.B[:, c] * slope[c]) for c in range(3)])
+
+
+def translated(code: torch.Tensor, gaussian: GaussianPrior, prior) -> torch.Tensor:
+    """A code (3, m) of the Gaussian prior as one (3, M) of `prior`: the same radiance, block by block."""
+    log = code * gaussian.log_spread + gaussian.code.mean
+    return Pool(prior.height, gaussian.height).spread((log - prior.code.mean) / prior.log_spread)
+
+
+class ModeCode(Coded):
+    """z (1, K + 3 R): coefficients of the modes, N(0, 1), about `mean` (3, M) seen through noise of deviation sigma.
+
+    A code x_0 ~ N(., C) seen as x_0 + sigma n has the covariance (C^-1 + sigma^-2)^-1: mode k keeps sigma^2 / (v_k + sigma^2).
+    """
+
+    def __init__(self, photos: Photos, prior, log_scale: float, modes: Modes, mean: torch.Tensor, sigma: float = np.inf):
+        super().__init__(photos, prior, log_scale, 1.0)
+        self.modes, self.mean, self.size = modes, mean, len(modes.variance)
+        self.keep = torch.ones(self.size) if np.isinf(sigma) else (sigma**2 / (modes.variance + sigma**2)).sqrt()
+
+    def join(self, c: torch.Tensor, theta: Theta) -> torch.Tensor:
+        """z of coefficients (1, K) and colours."""
+        return torch.cat([c, self.scaled(theta.mu).reshape(1, -1)], 1)
+
+    def centre(self, c: torch.Tensor) -> torch.Tensor:
+        return torch.cat([c, torch.zeros(1, 3 * len(self.photos.theta.m))], 1)
+
+    def colours(self, z: torch.Tensor) -> np.ndarray:
+        return self.unscaled(z[:, self.size:].reshape(3, -1))
+
+    def code(self, z: torch.Tensor) -> torch.Tensor:
+        return self.modes.around(self.mean, z[0, :self.size] * self.keep)
+
+    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Whole]:
+        """Gauss-Newton; the three channels are one system, for the modes couple them."""
+        g, T, residual, V = self.linear(z)
+        J = torch.einsum("cnm,ckm->cnk", T, self.modes.moved(g)) * self.keep
+        colours = torch.block_diag(*V)
+        return torch.cat([J.reshape(-1, self.size), colours], 1)[None], residual.reshape(1, -1), Whole()

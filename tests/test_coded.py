@@ -1,0 +1,88 @@
+"""The likelihood as a function of codes: its expansions are its derivatives, and the search finds what made the photos."""
+import numpy as np
+import pytest
+import torch
+
+from pipeline.posterior.coded import ModeCode, Modes, PixelCode, translated
+from pipeline.posterior.evidence import CANDIDATES, Search
+from pipeline.posterior.likelihood import Theta
+from pipeline.prior.code import Code
+from pipeline.prior.gaussian import GaussianPrior
+from tests.test_transport import photos, scene, transport                     # noqa: F401  (fixtures)
+
+
+def smooth_prior(height: int, code: Code) -> GaussianPrior:
+    """Variance falls with frequency and couples neighbouring rows."""
+    rows = np.arange(height)
+    near = torch.from_numpy(np.exp(-np.abs(rows[:, None] - rows) / 4)).float()
+    fall = 1 / (1 + torch.arange(height + 1.0)) ** 2
+    return GaussianPrior(torch.zeros(3, height), torch.stack([s * fall[:, None, None] * near for s in (2.0, 0.2, 0.1)]), code)
+
+
+@pytest.fixture(params=["pixels", "modes"])
+def coded(request, photos):                                                  # noqa: F811
+    """Lights of 16 rows before an operator that resolves 8."""
+    prior = smooth_prior(16, Code(-0.4, 0.7))
+    if request.param == "pixels":
+        return PixelCode(photos, prior, 0.2, 0.3)
+    return ModeCode(photos, prior, 0.2, Modes(prior, prior, 30, 8), prior.flat_mean, 0.7)
+
+
+def test_expansion_is_the_derivative(coded, photos):                          # noqa: F811
+    """Whitened predictions moved by a small step against J E d; colours held, their columns have their own test."""
+    noise = torch.Generator().manual_seed(0)
+    z = coded.join(0.3 * torch.randn(3 if isinstance(coded, PixelCode) else 1, coded.size, generator=noise), photos.theta)
+    step = 1e-2 * torch.randn(z.shape, generator=noise)
+    step[:, coded.size:] = 0
+    J, r, fold = coded.expansion(z)
+    T = photos.whitened(coded.light(coded.code(z)))[0]
+    moved = torch.from_numpy((coded.light(coded.code(z + step)) - coded.light(coded.code(z - step))).T / 2).float()
+    expected = torch.einsum("cnm,cm->cn", T, moved).reshape(-1)
+    found = torch.cat([j @ d for j, d in zip(J, fold.down(step))])
+    assert float((found - expected).norm() / expected.norm()) < 0.02
+
+
+def test_colour_columns_are_the_derivative(coded, photos):                    # noqa: F811
+    """Log-likelihood's slope in a region's log colour against finite differences, spread held near nothing."""
+    photos.theta.tau[:] = 1e-4
+    photos.set(photos.theta)
+    z = coded.join(torch.zeros(3 if isinstance(coded, PixelCode) else 1, coded.size), photos.theta)
+    J, r, _ = coded.expansion(z)
+    colours = J.shape[2] - 1
+    slope = float(J[-1, :, colours] @ r[-1])
+
+    def likelihood(e):
+        moved, theta = z.clone(), photos.theta.copy()
+        moved[-1, -1] += e
+        theta.mu = coded.colours(moved)
+        photos.set(theta)
+        return photos.value(coded.light(coded.code(moved)))
+    numeric = (likelihood(1e-2) - likelihood(-1e-2)) / 2e-2
+    assert abs(numeric - slope) < 0.05 * abs(slope) + 0.5
+
+
+def test_translated_code_is_the_same_radiance():
+    a, b = smooth_prior(8, Code(-0.4, 0.7)), smooth_prior(16, Code(0.3, 1.2))
+    code = a.sample(1, torch.Generator().manual_seed(0)).reshape(3, -1)
+    fine = b.decode(translated(code, a, b).reshape(1, 3, 16, 32))[0]
+    assert torch.allclose(fine[:, ::2, 1::2], a.decode(code.reshape(1, 3, 8, 16))[0], rtol=1e-4)
+
+
+def test_search_finds_the_material(photos):                                   # noqa: F811
+    """Photos of a shiny and a rough region under a light of the prior's own: levels within one, metal told from dielectric."""
+    prior = smooth_prior(8, Code(-0.4, 0.7))
+    rng = np.random.default_rng(4)
+    truth = Theta(np.array([[0.6, 0.5, 0.4], [0.3, 0.3, 0.35]]), np.full(2, 0.05), np.array([0, 4]), np.array([1.0, 0.0]))
+    photos.eta, photos.kappa, photos.weight = 0.03, 1.0, np.ones(len(photos.y))
+    photos.set(truth)
+    B, _ = prior.modes(60)
+    c = torch.randn(60, generator=torch.Generator().manual_seed(3))
+    code = prior.flat_mean + torch.einsum("k,kcm->cm", c, B)
+    light = prior.decode(code.reshape(1, 3, 8, 16)).reshape(3, -1).T.numpy().astype(float)
+    U, W = photos.predict(light)
+    colour = truth.mu[photos.region]
+    photos.y = photos.observed = (colour[photos.rows.point] * U + W) * (1 + 0.02 * rng.normal(size=U.shape))
+    start = Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([2, 2]), np.array([0.2, 0.2]))
+    found, _ = Search(photos, prior, 0.0, 40, rng).run(start, 3, rng)
+    assert found.m[0] in CANDIDATES[2:] and found.m[1] in CANDIDATES[:2]
+    assert np.abs(found.level - truth.level).max() <= 1
