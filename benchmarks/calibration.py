@@ -26,13 +26,13 @@ from scipy import stats
 from pipeline.envmap import directions, sh_coefficients, solid_angles
 from pipeline.files import write_json
 from pipeline.images import luminance
-from pipeline.posterior.ours import FIRST, LAST
 from pipeline.posterior.pooling import Whole
 from pipeline.posterior.split_gibbs import SLICES, draw_light, noise_gain, prior_steps, widths
 from pipeline.prior import load_prior
-from pipeline.prior.sampling import FIRST_SIGMA, draw, reverse_diffusion
+from pipeline.prior.sampling import FIRST_SIGMA, first_noise, reverse_diffusion
 from pipeline.progress import progress
 
+FIRST, LAST = 1.0, 0.01     # widths of the splitting: the split block alone, started wide
 ROWS = 40
 ERROR = 0.1
 NAMES = [f"SH {k}" for k in range(9)] + [f"pixel {k}" for k in range(8)]
@@ -78,7 +78,8 @@ def simulate(job: tuple) -> np.ndarray:
     prior, rng, noise = load_prior(name), np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     shape = (1, 3, prior.height, prior.width)
     with torch.no_grad():
-        fresh = lambda: reverse_diffusion(prior, 40 * torch.randn(shape, generator=noise), 40.0, 30, None, rng, noise)
+        gaussian = load_prior("gaussian_small")
+        fresh = lambda: reverse_diffusion(prior, first_noise(prior, gaussian, 1, noise), FIRST_SIGMA, 30, None, rng, noise)
         truth = fresh()
         A, pixels = lobes(prior, rng), rng.integers(prior.height * prior.width, size=8)
         observed = Observed(prior, A, torch.ones(3, ROWS))

@@ -68,7 +68,7 @@ def fit(codes: np.ndarray, minutes: float, seed: int = 0) -> tuple[Field, torch.
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
-    print(f"loss {float(loss):.4f}, KL per number {float(kl):.3f}, latent deviation {float(mean.std()):.2f}")
+    print(f"loss {loss.item():.4f}, KL per number {kl.item():.3f}, latent deviation {mean.std().item():.2f}")
     return field, mean.detach()
 
 

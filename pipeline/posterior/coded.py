@@ -118,12 +118,6 @@ class Modes:
         return torch.stack([self.coarse.down(self.B[:, c] * slope[c]) for c in range(3)])
 
 
-def translated(code: torch.Tensor, gaussian: GaussianPrior, prior) -> torch.Tensor:
-    """A code (3, m) of the Gaussian prior as one (3, M) of `prior`: the same radiance, block by block."""
-    log = code * gaussian.log_spread + gaussian.code.mean
-    return Pool(prior.height, gaussian.height).spread((log - prior.code.mean) / prior.log_spread)
-
-
 class ModeCode(Coded):
     """z (1, K + 3 R): coefficients of the modes, N(0, 1), about `mean` (3, M) seen through noise of deviation sigma.
 

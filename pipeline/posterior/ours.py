@@ -16,10 +16,11 @@ from ..config import Sample
 from ..optics import Explanation
 from ..prior import load_prior
 from ..prior.code import scale_of
+from ..prior.gaussian import translated
 from ..prior.sampling import reverse_diffusion
 from ..progress import Bar
 from ..transport import Transport, choose_rows
-from .coded import Coded, ModeCode, Modes, PixelCode, translated
+from .coded import Coded, ModeCode, Modes, PixelCode
 from .likelihood import Lobes, Photos, Theta, channel_effect, design_effect
 from .problem import Problem, generators
 from .refine import fill, gather, splat
@@ -123,6 +124,12 @@ class Chain:
         self.thin(coded.light(coded.code(self.coefficients)))
         return coded.code(self.coefficients)
 
+    def start(self, turns: int = GAUSSIAN_TURNS) -> torch.Tensor:
+        """A draw under the Gaussian prior as a code (3, M) of the diffusion prior."""
+        g = self.gaussian
+        code = self.turns_with_gaussian(turns).reshape(1, 3, g.height, g.width)
+        return translated(code, g, self.prior).reshape(3, -1)
+
     def after_light(self, coded: Coded, code: torch.Tensor, shifts=None) -> torch.Tensor:
         """Scale and materials given the light; the code, moved if `shifts` says what a move costs."""
         light = coded.light(code)
@@ -170,7 +177,7 @@ class Chain:
         """All turns; the light's code (1, 3, h, w)."""
         smooth, split = schedule(self.settings.levels, self.settings.stay)
         with torch.no_grad(), Bar(f"sample {seed}", len(smooth) + len(split)) as bar:
-            code = translated(self.turns_with_gaussian(GAUSSIAN_TURNS), self.gaussian, self.prior)
+            code = self.start()
             return self.split_turns(self.smooth_turns(code, smooth, bar), split, bar)
 
     def maps(self, light: np.ndarray, size: int) -> dict:
@@ -209,5 +216,4 @@ def gaussian(problem: Problem, prior, start: Explanation, settings: Sample, seed
     """One posterior sample under the Gaussian prior `settings.search_prior`; `prior` gives the size of the light only."""
     chain = Chain(problem, prior, start, settings, seed)
     with torch.no_grad():
-        code = translated(chain.turns_with_gaussian(max(settings.stay, 1)), chain.gaussian, prior)
-    return chain.result(code, start)
+        return chain.result(chain.start(max(settings.stay, 1)), start)

@@ -88,3 +88,12 @@ class GaussianPrior:
             line = wave(2 * torch.pi * k * columns / w)
             row[:] = OPPONENT[o][:, None] * (value**0.5 * torch.outer(self.vectors[o, k, :, e], line / line.norm())).reshape(-1)
         return B, torch.tensor([item[0] for item in found[:count]])
+
+
+def translated(code: torch.Tensor, gaussian: GaussianPrior, prior) -> torch.Tensor:
+    """Codes (n, 3, h, w) of the Gaussian prior as codes (n, 3, f h, f w) of `prior`: the same radiance, every pixel f x f times."""
+    f = prior.height // gaussian.height
+    if f * gaussian.height != prior.height:
+        raise ValueError(f"{gaussian.height} rows do not divide {prior.height}")
+    log = (code * gaussian.log_spread + gaussian.code.mean - prior.code.mean) / prior.log_spread
+    return log.repeat_interleave(f, 2).repeat_interleave(f, 3)

@@ -16,8 +16,9 @@ from ..errors import run_stage
 from ..images import to_srgb8, write_png
 from ..progress import Bar
 from . import load_prior
+from .gaussian import GaussianPrior, translated
 
-FIRST_SIGMA = 40.0      # 80 deviations of the codes: nothing of the data shows through
+FIRST_SIGMA = 20.0      # of the Gaussian start; the largest modes of natural light have twice that deviation and show through
 
 
 def reverse_diffusion(prior, z: torch.Tensor, rho: float, steps: int, label, rng, noise, end: float = 0.01, done=None) -> torch.Tensor:
@@ -42,12 +43,22 @@ def reverse_diffusion(prior, z: torch.Tensor, rho: float, steps: int, label, rng
     return x
 
 
-def draw(prior, count: int, steps: int, seed: int, label: str | None = None, batch: int = 16) -> torch.Tensor:
-    """`count` codes (count, 3, h, w) of the prior alone, deterministic in `seed`."""
+def first_noise(prior, gaussian: GaussianPrior, count: int, noise: torch.Generator) -> torch.Tensor:
+    """Codes (count, 3, h, w) seen through noise of FIRST_SIGMA, where a Gaussian describes them well enough.
+
+    White noise alone would have to be of deviation 200 to drown the largest modes, a level that training hardly visits.
+    """
+    code = translated(gaussian.sample(count, noise), gaussian, prior)
+    return code + FIRST_SIGMA * torch.randn(code.shape, generator=noise)
+
+
+def draw(prior, count: int, steps: int, seed: int, label: str | None = None, batch: int = 16, start: str = "gaussian_small") -> torch.Tensor:
+    """`count` codes (count, 3, h, w) of the prior alone, deterministic in `seed`; `start`: Gaussian prior of the first noise."""
     noise, rng, out = torch.Generator().manual_seed(seed), np.random.default_rng(seed), []
+    gaussian = load_prior(start)
     with torch.no_grad(), Bar("prior samples", steps * -(-count // batch)) as bar:
         for first in range(0, count, batch):
-            z = FIRST_SIGMA * torch.randn((min(batch, count - first), 3, prior.height, prior.width), generator=noise)
+            z = first_noise(prior, gaussian, min(batch, count - first), noise)
             out.append(reverse_diffusion(prior, z, FIRST_SIGMA, steps, label, rng, noise, done=bar.step))
     return torch.cat(out)
 
