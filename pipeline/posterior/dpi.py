@@ -30,6 +30,7 @@ from .problem import Materials, Problem, generators, guided_result, step_seed
 RHO_BASE = 30.0 / 2048  # calibrates rho to the relative data term (problem.py) and codes of standard deviation 0.5; per light pixel,
                         # because a finer grid divides the same gradient among more pixels
 STEP_LIMIT = 0.5        # largest guidance step in units of the code's standard deviation, root mean square
+PIXEL_LIMIT = 0.5       # largest guidance step of one pixel, a deviation of the codes
 
 
 def rho(t: int) -> float:
@@ -65,6 +66,7 @@ def dpi_paper(problem: Problem, prior, start: Explanation, settings: Sample, see
             move = weight * pull / (2 * np.sqrt(max(g.loss, 1e-6)))
             size = float(move.square().mean().sqrt())
             move = move * min(1.0, STEP_LIMIT * 0.5 / max(size, 1e-12))
+            move = move.clamp(-PIXEL_LIMIT, PIXEL_LIMIT)          # a path that met the sun must not send one pixel to the code's end
             a, b, deviation = posterior(int(t), int(s))
             with torch.no_grad():
                 fresh = torch.randn(x.shape, generator=noise) if s >= 0 else torch.zeros_like(x)
