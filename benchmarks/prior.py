@@ -18,6 +18,7 @@ import json
 import os
 import platform
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +29,11 @@ from benchmarks.lights import statistics
 from pipeline.envmap import resample_area, solid_angles
 from pipeline.files import write_json
 from pipeline.images import write_png
-from pipeline.prior import find_prior, load_prior
+from pipeline.prior import load_prior
 from pipeline.prior.code import to_log
 from pipeline.prior.data import Data, scale_free
 from pipeline.prior.gaussian import OPPONENT, GaussianPrior
 from pipeline.prior.network import LABELS
-from pipeline.prior.parts import load_parts
 from pipeline.prior.sampling import draw, lights, sheet
 from pipeline.prior.settings import Training
 from pipeline.prior.sources import find_sources, read_source
@@ -148,14 +148,13 @@ def unseen(data: Data, others: list[np.ndarray]) -> np.ndarray:
 def judge(name: str, data: Data, others: list[np.ndarray], count: int, steps: int, folder: Path | None) -> dict:
     """A row of the table for the prior called `name`, in that prior's own value code."""
     prior, start = load_prior(name), time.monotonic()
-    facts = load_parts(find_prior(name))[1]
-    data = Data(data.maps, data.labels, data.made, data.held, prior.height, facts["mean"], facts["std"])
+    data = replace(data, height=prior.height, mean=prior.code.mean, std=prior.code.std)
     known, held = data.measured(False), unseen(data, others)
     if isinstance(prior, GaussianPrior):
         codes = prior.sample(count, torch.Generator().manual_seed(0))
     else:
         codes = draw(prior, count, steps, 100)
-    out = {"prior": name, "samples": count, "held_out": len(held)} | judged(codes.numpy(), prior.log_spread, facts["mean"], known, held)
+    out = {"prior": name, "samples": count, "held_out": len(held)} | judged(codes.numpy(), prior.log_spread, data.mean, known, held)
     model = lambda x, sigma, label: prior.denoise(x, float(sigma[0]))
     loss = lambda x: fixed_loss(model, torch.from_numpy(x), row_weights(prior.height), Training())
     out["loss"] = {"train": loss(known), "held_out": loss(data.measured(True)), "all_unseen": loss(held)}

@@ -11,12 +11,16 @@ import numpy as np
 from .errors import InputError
 
 
+def direction_from_uv(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Unit vectors (..., 3) of lat-long coordinates u, v in [0, 1], broadcast against each other."""
+    lat, lon = np.pi * (0.5 - v), 2 * np.pi * (0.5 - u)
+    c = np.cos(lat)
+    return np.stack(np.broadcast_arrays(c * np.sin(lon), np.sin(lat), c * np.cos(lon)), -1)
+
+
 def directions(h: int, w: int) -> np.ndarray:
     """Unit vectors through the pixel centres, (h, w, 3)."""
-    lat = np.pi * (0.5 - (np.arange(h) + 0.5) / h)
-    lon = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)
-    c = np.cos(lat)[:, None]
-    return np.stack([c * np.sin(lon), np.broadcast_to(np.sin(lat)[:, None], (h, w)), c * np.cos(lon)], -1)
+    return direction_from_uv((np.arange(w) + 0.5) / w, ((np.arange(h) + 0.5) / h)[:, None])
 
 
 def uv_from_direction(d: np.ndarray) -> np.ndarray:

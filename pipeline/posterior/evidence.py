@@ -80,9 +80,13 @@ class Search:
         J = torch.einsum("cnm,ckm->cnk", T, moved).reshape(-1, moved.shape[1])
         return Piece(theta, part.value(light) + float(log_prior(theta).sum()), J.T @ J, J.T @ residual.reshape(-1))
 
-    def draw_region(self, r: int, pieces: list[Piece], c: torch.Tensor, rng) -> tuple[Piece, torch.Tensor]:
-        """A candidate for region r by its evidence, and the light's step that goes with it (K,)."""
-        light, moved = self.linear(c)
+    def pieces(self, thetas: list[Theta], c: torch.Tensor) -> tuple[list[Piece], tuple]:
+        """Every region at its Theta, linearised at c; and what `linear` says there."""
+        at = self.linear(c)
+        return [self.piece(r, theta, *at) for r, theta in enumerate(thetas)], at
+
+    def draw_region(self, r: int, pieces: list[Piece], at: tuple, c: torch.Tensor, rng) -> tuple[Piece, torch.Tensor]:
+        """A candidate for region r by its evidence, and the light's step that goes with it (K,); `at` = linear(c)."""
         others = [p for k, p in enumerate(pieces) if k != r]
         H = torch.eye(len(c)) + sum(p.H for p in others)
         b = sum((p.b for p in others), -c)
@@ -91,7 +95,7 @@ class Search:
             for m in CANDIDATES:
                 new = pieces[r].theta.copy()
                 new.level[0], new.m[0] = level, m
-                piece = self.piece(r, new, light, moved)
+                piece = self.piece(r, new, *at)
                 factor = cholesky(H + piece.H)
                 step = torch.cholesky_solve((b + piece.b)[:, None], factor)[:, 0]
                 gain = 0.5 * float((b + piece.b) @ step) - float(factor.diagonal().log().sum())
@@ -105,18 +109,16 @@ class Search:
         """Theta of all regions and the light's coefficients (1, K) after `sweeps` over the regions."""
         c, count = torch.zeros(self.coded.size), len(self.parts)
         single = [Theta(theta.mu[[r]], theta.tau[[r]], theta.level[[r]], theta.m[[r]]) for r in range(count)]
-        at = lambda c: [self.piece(r, single[r], *self.linear(c)) for r in range(count)]
-        pieces = at(c)
+        pieces, at = self.pieces(single, c)
         for _ in range(3):                                                    # the light first, at the fit's materials
             H = torch.eye(len(c)) + sum(p.H for p in pieces)
             c = damped(c, torch.cholesky_solve(sum((p.b for p in pieces), -c)[:, None], cholesky(H))[:, 0])
-            pieces = at(c)
+            pieces, at = self.pieces(single, c)
         for _ in range(sweeps):
             for r in rng.permutation(count):
-                pieces[r], step = self.draw_region(r, pieces, c, rng)
+                pieces[r], step = self.draw_region(r, pieces, at, c, rng)
                 c = damped(c, step)
-                single = [p.theta for p in pieces]
-                pieces = at(c)
+                pieces, at = self.pieces([p.theta for p in pieces], c)
         parts = zip(*(vars(p.theta).values() for p in pieces))
         return Theta(*(np.concatenate(v) for v in parts)), c[None]
 

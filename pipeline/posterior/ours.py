@@ -27,7 +27,7 @@ from .refine import fill, gather, splat
 from .region_moves import METALLIC, draw_gauge, draw_regions, propose_spread
 from .evidence import COMPONENTS, Search
 from .regions import group, texel_regions
-from .split_gibbs import SLICES, draw_light, noise_gain, prior_steps
+from .split_gibbs import SLICES, draw_light, noise_gain, prior_steps, widths
 
 FIRST, LAST = 1.5, 0.02     # noise levels in code units, where the prior's deviation is 0.5
 SWITCH = 0.15               # below, exact splitting; above, log radiance is too far from linear for white noise of that width
@@ -38,8 +38,8 @@ NODES = 0.5                 # radiosity nodes beside the points, as a share of t
 
 def schedule(levels: int, stay: int) -> tuple[np.ndarray, np.ndarray]:
     """Noise levels of the smooth turns and widths of the split ones: `levels` in all from FIRST to LAST, then `stay` more at LAST."""
-    rhos = np.geomspace(FIRST, LAST, levels)
-    return rhos[rhos > SWITCH], np.concatenate([rhos[rhos <= SWITCH], np.full(stay, LAST)])
+    rhos = widths(levels, FIRST, LAST, stay)
+    return rhos[rhos > SWITCH], rhos[rhos <= SWITCH]
 
 
 def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts: np.ndarray, levels) -> Theta:
@@ -121,8 +121,9 @@ class Chain:
         for _ in range(count):
             self.coefficients = self.light_turn(coded, torch.zeros(1, coded.size), self.coefficients)
             self.after_light(coded, coded.code(self.coefficients))
-        self.thin(coded.light(coded.code(self.coefficients)))
-        return coded.code(self.coefficients)
+        code = coded.code(self.coefficients)
+        self.thin(coded.light(code))
+        return code
 
     def start(self, turns: int = GAUSSIAN_TURNS) -> torch.Tensor:
         """A draw under the Gaussian prior as a code (3, M) of the diffusion prior."""
@@ -191,7 +192,6 @@ class Chain:
         levels = np.array(self.photos.lobes.levels)
         return {"base_color": np.clip(cv2.GaussianBlur(base, (0, 0), 1.0), 0, 1).astype(np.float32),
                 "roughness": levels[self.theta.level][region].astype(np.float32), "metallic": self.theta.m[region].astype(np.float32)}
-
 
     def result(self, code: torch.Tensor, start: Explanation) -> tuple[Explanation, dict]:
         """The draw as maps, and facts."""

@@ -19,9 +19,10 @@ class Pool:
     def __init__(self, fine: int, coarse: int):
         if fine % coarse:
             raise ValueError(f"{fine} rows do not pool to {coarse}")
-        self.shape, self.f = (coarse, fine // coarse, 2 * coarse, fine // coarse), fine // coarse
-        rows = solid_angles(fine, 2 * fine)[:, 0].reshape(coarse, self.f)
-        share = rows / (rows.sum(1, keepdims=True) * self.f)                  # of a pixel in its block
+        f = fine // coarse
+        self.shape = (coarse, f, 2 * coarse, f)
+        rows = solid_angles(fine, 2 * fine)[:, 0].reshape(coarse, f)
+        share = rows / (rows.sum(1, keepdims=True) * f)                       # of a pixel in its block
         self.share = torch.from_numpy(share.astype(np.float32))[None, :, :, None, None]
 
     def down(self, v: torch.Tensor) -> torch.Tensor:

@@ -38,7 +38,6 @@ def noise_gain(spread: float, rho: float) -> float:
     """Mean factor by which code noise of width rho raises radiance exp(spread x + ...): exp((spread rho)^2 / 2).
 
     z is x plus such noise; without dividing by this, x has to be too dark for z to be right, and lags behind as rho falls.
-    For a light of known scale; a free scale takes the gain up itself.
     """
     return float(np.exp(0.5 * (spread * rho) ** 2))
 

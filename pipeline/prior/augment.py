@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..envmap import directions, resample_area, uv_from_direction
+from ..envmap import directions, mirror, resample_area, uv_from_direction, yaw_roll
 
 MOVE_LEVEL, MOVE_UP = 0.45, 0.15        # largest horizontal and vertical move, in radii
 WHITE_BALANCE, CONTRAST = 0.06, 0.06    # deviations of log gain per channel and of log gamma
@@ -32,13 +32,13 @@ def moved(env: np.ndarray, origin: np.ndarray, yaw: float) -> np.ndarray:
 def draw_view(env: np.ndarray, height: int, rng: np.random.Generator) -> np.ndarray:
     """A random view of radiance env (H, 2H, 3), H >= height, as (height, 2 height, 3)."""
     if rng.random() < 0.5:
-        env = np.roll(env, rng.integers(env.shape[1]), 1)
+        env = yaw_roll(env, rng.integers(env.shape[1]))
     else:
         angle, radius = rng.uniform(0, 2 * np.pi), MOVE_LEVEL * np.sqrt(rng.random())
         origin = np.array([radius * np.cos(angle), rng.uniform(-MOVE_UP, MOVE_UP), radius * np.sin(angle)])
         env = moved(env, origin, rng.uniform(0, 2 * np.pi))
     if rng.random() < 0.5:
-        env = env[:, ::-1]
+        env = mirror(env)
     env = resample_area(env, height, 2 * height)
     gain = np.exp(WHITE_BALANCE * rng.normal(size=3))
     return (gain * np.maximum(env, 0) ** np.exp(CONTRAST * rng.normal())).astype(np.float32)

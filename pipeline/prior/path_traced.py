@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..envmap import direction_from_uv
 from ..runtime import mitsuba as mi, mitsuba_rays
 import drjit as dr                                             # noqa: E402  (after mitsuba: needs its LLVM path)
 
@@ -89,7 +90,7 @@ def trace(quads: Quads, lamps: list[dict], eye, h: int, w: int, spp: int, seed: 
     for first in range(0, h, batch):
         v = np.repeat(np.arange(first, min(first + batch, h)), w * spp)
         u = np.tile(np.repeat(np.arange(w), spp), len(v) // (w * spp))
-        ray_d = _along((u + rng.random(len(u))) / w, (v + rng.random(len(v))) / h)
+        ray_d = direction_from_uv((u + rng.random(len(u))) / w, (v + rng.random(len(v))) / h)
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed * 131 + first, len(u))
         rays = mitsuba_rays(np.broadcast_to(eye, ray_d.shape), ray_d)
@@ -100,18 +101,12 @@ def trace(quads: Quads, lamps: list[dict], eye, h: int, w: int, spp: int, seed: 
     return total
 
 
-def _along(u, v) -> np.ndarray:
-    """Directions (n, 3) of lat-long coordinates (envmap's frame)."""
-    lat, lon = np.pi * (0.5 - v), 2 * np.pi * (0.5 - u)
-    return np.stack([np.cos(lat) * np.sin(lon), np.sin(lat), np.cos(lat) * np.cos(lon)], -1)
-
-
 def _sunlight(scene, rays, towards, irradiance) -> np.ndarray:
     """Radiance (n, 3) of sunlight that reaches the first hit through an emitter (a window)."""
-    si = scene.ray_intersect(rays)
-    cosine = dr.abs(dr.dot(si.n, mi.Vector3f(towards.tolist())))
-    way = scene.ray_intersect(si.spawn_ray(mi.Vector3f(towards.tolist())))
-    inside = dr.dot(way.n, mi.Vector3f(towards.tolist())) < 0
+    si, d = scene.ray_intersect(rays), mi.Vector3f(towards.tolist())
+    cosine = dr.abs(dr.dot(si.n, d))
+    way = scene.ray_intersect(si.spawn_ray(d))
+    inside = dr.dot(way.n, d) < 0
     lit = si.is_valid() & way.is_valid() & (way.shape.emitter() != None) & inside      # noqa: E711  (a Dr.Jit comparison)
     lit &= dr.dot(si.wi, mi.Vector3f(0, 0, 1)) > 0
     albedo = np.array(si.bsdf().eval_diffuse_reflectance(si)).T
