@@ -4,11 +4,14 @@ python -m benchmarks.prior --data RUN/data.npz --priors prior_base gaussian_base
 python -m benchmarks.prior ... --others MAPS --catalogue CSV --licence "not stated"     more maps that no prior was trained on
 
 RUN/data.npz is made by pipeline.prior.train, reni.npz by benchmarks.reni. Feature space of the Fréchet distance (Heusel et al.
-2017, with features anyone can recompute): of every map's log code, the mean of each opponent colour channel in 4 latitude
-bands, the log power of each channel in 4 bands of longitudinal frequency, and the percentiles 1, 25, 75, 99 and 99.9 of log
-luminance over its median; 29 numbers, none changed by yaw or mirroring, in units of the training maps' deviation. The floor is
-the distance between maps held out and maps trained on; `frechet_floor_few` the same for as many training maps drawn at random
-from the training maps themselves, which shows how much of the floor is the small number.
+2017, with features anyone can recompute): of every map's log code,
+  appearance: the mean of each opponent colour channel in 4 latitude bands, the log power of each channel in 4 bands of
+    longitudinal frequency, and the percentiles 1, 25, 75, 99 and 99.9 of log luminance over its median; 29 numbers;
+  structure: of log luminance's differences across and down at 4 scales, their mean size, their sparseness E d^2 / (E |d|)^2
+    (Huang and Mumford 1999), the skewness of those down, and the correlations of sizes between the two directions and
+    between neighbouring scales (Portilla and Simoncelli 2000); 30 numbers;
+none changed by yaw, in units of the training maps' deviation. The floor is the distance between maps held out and maps trained
+on; `halves` the distance between two halves of the training maps, which shows how much of it is the small number of maps.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from scipy import linalg, stats
+from scipy.ndimage import uniform_filter
 
 from benchmarks.lights import statistics
 from pipeline.envmap import resample_area, solid_angles
@@ -41,12 +45,12 @@ from pipeline.prior.train import fixed_loss, row_weights
 from pipeline.progress import progress
 from pipeline.runtime import set_threads
 
+APPEARANCE = 29         # features of the first kind
 SHRINK = 0.1            # of every covariance towards its diagonal: there are few measured maps
 
 
-def features(codes: np.ndarray) -> np.ndarray:
-    """(n, 29) of codes (n, 3, h, w)."""
-    x = np.einsum("oc,nchw->nohw", OPPONENT.numpy(), codes)
+def appearance(x: np.ndarray) -> np.ndarray:
+    """(n, 29) of opponent log codes (n, 3, h, w): how bright, coloured and busy a map is."""
     n, _, h, w = x.shape
     bands = x.reshape(n, 3, 4, h // 4, w).mean((3, 4)).reshape(n, -1)
     power = np.abs(np.fft.rfft(x, axis=-1)) ** 2
@@ -55,6 +59,28 @@ def features(codes: np.ndarray) -> np.ndarray:
     spectrum = np.stack([(power[..., a:b].sum(-1) * weight[:, 0]).sum(-1) for a, b in zip(edges, edges[1:])], -1).reshape(n, -1)
     level = np.percentile(x[:, 0].reshape(n, -1), [1, 25, 50, 75, 99, 99.9], axis=1).T
     return np.concatenate([bands, np.log(spectrum + 1e-6), np.delete(level - level[:, 2:3], 2, 1)], 1)
+
+
+def structure(x: np.ndarray) -> np.ndarray:
+    """(n, 30) of log luminance (n, h, w): how its edges are made, which no Gaussian field can imitate."""
+    h, out, finer = x.shape[1], [], None
+    rows = h - h // 8
+    pair = lambda a, b: [np.corrcoef(u.ravel(), v.ravel())[0, 1] for u, v in zip(np.abs(a), np.abs(b))]
+    for s in (h // 64, h // 32, h // 16, h // 8) if h >= 64 else (1, h // 16, h // 8, h // 8):
+        smooth = uniform_filter(x, (0, s, s), mode=("nearest", "nearest", "wrap"))
+        edges = [(np.roll(smooth, -s, 2) - smooth)[:, :rows], smooth[:, s:s + rows] - smooth[:, :rows]]      # across, down
+        for d in edges:
+            out += [np.log(np.abs(d).mean((1, 2)) + 1e-6), np.log((d**2).mean((1, 2)) / np.abs(d).mean((1, 2)) ** 2)]
+        out += [(edges[1] ** 3).mean((1, 2)) / (edges[1] ** 2).mean((1, 2)) ** 1.5, pair(*edges)]
+        out += [pair(a, b) for a, b in zip(finer, edges)] if finer else []
+        finer = edges
+    return np.stack(out, 1)
+
+
+def features(codes: np.ndarray) -> np.ndarray:
+    """(n, 59) of codes (n, 3, h, w)."""
+    x = np.einsum("oc,nchw->nohw", OPPONENT.numpy(), codes)
+    return np.concatenate([appearance(x), structure(x[:, 0])], 1)
 
 
 def frechet(a: np.ndarray, b: np.ndarray) -> float:
@@ -126,17 +152,23 @@ def histograms(prior_lights: np.ndarray, measured: np.ndarray) -> dict:
     return out
 
 
-def judged(codes: np.ndarray, spread: float, mean: float, known: np.ndarray, held: np.ndarray) -> dict:
-    """Everything that needs samples only: codes (n, 3, h, w) beside those of maps known and held out."""
-    scale = features(known).std(0) + 1e-9
-    distance = lambda x: frechet(features(x) / scale, features(known) / scale)
+def distances(codes: np.ndarray, known: np.ndarray) -> dict:
+    """Fréchet distance in either half of the feature space and in the whole."""
+    a, b = features(codes), features(known)
+    a, b, n = a / (b.std(0) + 1e-9), b / (b.std(0) + 1e-9), APPEARANCE
+    return {"all": frechet(a, b), "appearance": frechet(a[:, :n], b[:, :n]), "structure": frechet(a[:, n:], b[:, n:])}
+
+
+def judged(codes: np.ndarray, spread: float, mean: float, known: np.ndarray, held: np.ndarray, others: np.ndarray) -> dict:
+    """Everything that needs samples only: codes (n, 3, h, w) beside those of maps known, held out, and held out or other."""
     radiance = lambda x: np.exp(x * spread + mean).transpose(0, 2, 3, 1)
-    half = np.random.default_rng(0).permutation(len(known))
-    few = frechet(features(known[half[:len(held)]]) / scale, features(known[half[len(held):]]) / scale) if len(known) > len(held) else None
-    return {"frechet": distance(codes), "frechet_floor": distance(held), "frechet_floor_few": few,
-            "nearest_ratio": float(np.median(nearest(codes, known)) / np.median(nearest(held, known))),
+    order = np.random.default_rng(0).permutation(len(known))
+    near = np.median(nearest(codes, known))
+    return {"frechet": distances(codes, known), "frechet_held_out": distances(held, known), "frechet_unseen": distances(others, known),
+            "frechet_halves": distances(*(known[k] for k in np.array_split(order, 2))),
+            "nearest_ratio": {"held_out": near / np.median(nearest(held, known)), "unseen": near / np.median(nearest(others, known))},
             "seam": seam(codes), "seam_data": seam(known),
-            "statistics": histograms(radiance(codes), radiance(np.concatenate([known, held])))}
+            "statistics": histograms(radiance(codes), radiance(np.concatenate([known, others])))}
 
 
 def unseen(data: Data, others: list[np.ndarray]) -> np.ndarray:
@@ -149,15 +181,16 @@ def judge(name: str, data: Data, others: list[np.ndarray], count: int, steps: in
     """A row of the table for the prior called `name`, in that prior's own value code."""
     prior, start = load_prior(name), time.monotonic()
     data = replace(data, height=prior.height, mean=prior.code.mean, std=prior.code.std)
-    known, held = data.measured(False), unseen(data, others)
+    known, held, others = data.measured(False), data.measured(True), unseen(data, others)
     if isinstance(prior, GaussianPrior):
         codes = prior.sample(count, torch.Generator().manual_seed(0))
     else:
         codes = draw(prior, count, steps, 100)
-    out = {"prior": name, "samples": count, "held_out": len(held)} | judged(codes.numpy(), prior.log_spread, data.mean, known, held)
+    out = {"prior": name, "samples": count, "held_out": len(held), "unseen": len(others)}
+    out |= judged(codes.numpy(), prior.log_spread, data.mean, known, held, others)
     model = lambda x, sigma, label: prior.denoise(x, float(sigma[0]))
     loss = lambda x: fixed_loss(model, torch.from_numpy(x), row_weights(prior.height), Training())
-    out["loss"] = {"train": loss(known), "held_out": loss(data.measured(True)), "all_unseen": loss(held)}
+    out["loss"] = {"train": loss(known), "held_out": loss(held), "all_unseen": loss(others)}
     out["yaw_error"], out["seconds"] = yaw_error(prior, known), times(prior, steps)
     if folder:
         for label in [None] if isinstance(prior, GaussianPrior) else [None, *LABELS]:
@@ -190,7 +223,7 @@ def main() -> None:
         codes = np.load(args.reni)["codes"]
         data = Data.load(args.data, codes.shape[2])
         rows.append({"prior": "RENI-like", "samples": len(codes)}
-                    | judged(codes, 2 * data.std, data.mean, data.measured(False), unseen(data, others)))
+                    | judged(codes, 2 * data.std, data.mean, data.measured(False), data.measured(True), unseen(data, others)))
         print(json.dumps(rows[-1], indent=1, default=lambda v: np.round(v, 3).tolist()), flush=True)
     if args.out:
         write_json(args.out, {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows})

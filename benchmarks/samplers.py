@@ -2,12 +2,13 @@
 
 python -m benchmarks.samplers --scene boombox FOLDER --methods split_gibbs dpi_paper --samples 2 --out rows.json
 
-FOLDER is a scene rendered by the project's scene maker (images/, transforms*.json, mesh.ply, truth/); work/<scene> holds
-its stages up to `fit` (run `snakemake work/<scene>/fit/fit.json` first). One process, one thread per sampler as in the
+FOLDER is a scene rendered by the project's scene maker (images/, transforms*.json, mesh.ply, truth/ with a relight); work/<scene>
+holds its stages up to `fit` (benchmarks.pairs makes both). One process, one thread per sampler as in the
 sample stage; every draw is refined with refine.steps = 0 (base colour only), so that the methods' own roughness and
-metallic are judged. Per method: seconds per draw, light PSNR (log radiance, one common scale removed), PSNR of held-out
-views inside the mask, base colour error (RMS over held-out views, raw and after one factor per channel), and how often
-the 80 % interval of the draws holds the true SH light coefficients (order 2), which says little for few draws.
+metallic are judged. Per method: seconds per draw; light PSNR of the draws and of their mean (log radiance, one common
+scale removed; a draw's error is up to 3 dB above the mean's, where the spread is right); PSNR of held-out views inside the
+mask; base colour error (RMS over held-out views, raw and after one factor per channel); PSNR of held-out views under another
+light; and, for 3 draws or more, how often the draws' intervals hold the truth (`unknowns`).
 """
 
 from __future__ import annotations
@@ -17,32 +18,36 @@ import json
 import os
 import platform
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
+from scipy import stats
 
-from pipeline.config import load_scene
+from pipeline.config import parse_scene
 from pipeline.envmap import resample_area, sh_coefficients
 from pipeline.files import write_json
 from pipeline.images import read_exr
-from pipeline.metrics import light_psnr, score_held_out
+from pipeline.metrics import light_psnr, psnr, score_held_out, view_rays
 from pipeline.observe import Tracer
 from pipeline.optics import Explanation
 from pipeline.posterior import SAMPLERS
 from pipeline.posterior.load import load_problem
 from pipeline.posterior.refine import COARSE, gather, refine
+from pipeline.posterior.regions import group
 from pipeline.prior import load_prior
 from pipeline.runtime import set_threads
+from pipeline.stage import overrides
+
+RELIT = 200             # pixels per held-out view
 
 
-def base_colour_error(x: Explanation, problem, mesh: Path, truth: Path) -> tuple[float, float]:
-    """RMS against truth/albedo/<view>.exr over held-out views: raw, and after a least-squares factor per channel."""
+def seen_colours(x: Explanation, problem, mesh: Path, truth: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Base colours (n, 3) of `x` and of truth/albedo/<view>.exr, at every second pixel of the held-out views."""
     tracer, ours, theirs = Tracer(mesh), [], []
     for view in problem.observations.held_out:
-        file = truth / "albedo" / f"{view.name}.exr"
-        if not file.exists():
-            continue
-        picture = read_exr(file)
+        picture = read_exr(truth / "albedo" / f"{view.name}.exr")
         rows, columns = np.mgrid[0:view.height:2, 0:view.width:2].reshape(2, -1)
         uv, _, hit = tracer.hit(*view.rays(np.stack([columns + 0.5, rows + 0.5], -1)))
         k = (picture.shape[0] / view.height, picture.shape[1] / view.width)
@@ -50,14 +55,49 @@ def base_colour_error(x: Explanation, problem, mesh: Path, truth: Path) -> tuple
         hit &= value.max(-1) > 0
         ours.append(gather(x.base_color, uv[hit]))
         theirs.append(value[hit])
-    a, b = np.concatenate(ours), np.concatenate(theirs)
+    return np.concatenate(ours), np.concatenate(theirs)
+
+
+def aligned_rms(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """RMS of a - b (n, 3): raw, and after a least-squares factor per channel."""
     rms = lambda e: float(np.sqrt((e**2).mean()))
     return rms(a - b), rms(a * ((a * b).sum(0) / np.maximum((a * a).sum(0), 1e-12)) - b)
 
 
+def relit(x: Explanation, problem, truth: Path, spp: int = 64) -> tuple[np.ndarray, np.ndarray]:
+    """Radiance (n, 3) of random pixels of the held-out views under another known light: of `x` and of the truth."""
+    light, ours, theirs = next(f for f in sorted((truth / "relight").glob("*.exr")) if f.with_suffix("").is_dir()), [], []
+    problem.renderer.set(replace(x, light=resample_area(read_exr(light), *problem.renderer.light_shape[:2]).astype(np.float32)))
+    for view in problem.observations.held_out:
+        picture = read_exr(light.with_suffix("") / f"{view.name}.exr")
+        inside = cv2.erode((picture.sum(-1) > 0).astype(np.uint8), np.ones((5, 5)))
+        rows, columns = np.random.default_rng(0).permutation(np.argwhere(inside))[:RELIT].T
+        ours.append(problem.renderer.mean_radiance(view_rays(view, np.stack([columns, rows], -1)), spp, 0))
+        theirs.append(picture[rows, columns])
+    return np.concatenate(ours), np.concatenate(theirs)
+
+
+def coverage(draws: np.ndarray, truth: np.ndarray) -> dict:
+    """Share of the unknowns whose true value (k,) the central interval of draws (n, k) holds, per nominal share.
+
+    A new draw falls between order statistics i and j of n others with probability (j - i) / (n + 1), so 9 draws have an
+    80 % interval between least and greatest; wider ones are Student's predictive intervals.
+    """
+    n, out = len(draws), {}
+    for nominal in (0.5, 0.8, 0.95):
+        rank = 0.5 * (1 - nominal) * (n + 1)
+        if rank >= 1:
+            low, high = np.quantile(draws, [(rank - 1) / (n - 1), 1 - (rank - 1) / (n - 1)], axis=0)
+        else:
+            reach = stats.t.ppf(0.5 + 0.5 * nominal, n - 1) * draws.std(0, ddof=1) * np.sqrt(1 + 1 / n)
+            low, high = draws.mean(0) - reach, draws.mean(0) + reach
+        out[f"{nominal:.0%}"] = float(((truth >= low) & (truth <= high)).mean())
+    return out
+
+
 def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict:
     """One method on one scene."""
-    prior, rows, coefficients = load_prior(scene.sample.prior), [], []
+    prior, rows, drawn_lights, quantities = load_prior(scene.sample.prior), [], [], []
     truth = resample_area(read_exr(folder / "truth" / "envmap.exr"), prior.height, prior.width)
     stages = (folders["observe"], folders["poses"], folders["atlas"])
     settings = scene.refine.model_copy(update={"steps": 0})
@@ -71,14 +111,28 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         full = load_problem(*stages, scene, settings.texture, prior.height)
         small = load_problem(*stages, scene, min(COARSE, settings.texture), prior.height)
         final, _ = refine(full, small, drawn, settings, seed, rescale=not facts.get("scale_drawn", False))
-        raw, aligned = base_colour_error(final, full, folders["atlas"] / "mesh_uv.ply", folder / "truth")
         held_out = score_held_out(full, final, folders["poses"], folders["mesh"], scene.observe.erode, 64)["held_out_psnr"]
-        coefficients.append(sh_coefficients(final.light))
-        rows.append([seconds, light_psnr(final.light, truth), held_out, raw, aligned])
-    low, high = np.quantile(coefficients, [0.1, 0.9], axis=0)
-    inside = (sh_coefficients(truth) >= low) & (sh_coefficients(truth) <= high)
-    names = ("seconds", "light_psnr", "held_out_psnr", "base_colour_rms", "base_colour_rms_aligned")
-    return {"method": method} | dict(zip(names, np.mean(rows, 0).round(4).tolist())) | {"sh_covered": float(inside.mean()), "samples": samples}
+        colours, others = seen_colours(final, full, folders["atlas"] / "mesh_uv.ply", folder / "truth"), relit(final, full, folder / "truth")
+        quantities.append(unknowns(final.light, colours[0], others[0], group(colours[1])[0]))
+        drawn_lights.append(np.log(np.maximum(final.light, 1e-6)))
+        rows.append([seconds, light_psnr(final.light, truth), held_out, *aligned_rms(*colours), psnr(*others)])
+    true = unknowns(truth, colours[1], others[1], group(colours[1])[0])
+    names = ("seconds", "light_psnr", "held_out_psnr", "base_colour_rms", "base_colour_rms_aligned", "relit_psnr")
+    out = {"method": method, "samples": samples} | dict(zip(names, np.mean(rows, 0).round(4).tolist()))
+    out["light_psnr_of_mean"] = light_psnr(np.exp(np.mean(drawn_lights, 0)), truth)
+    if samples > 2:
+        out["coverage"] = {k: coverage(np.array([q[k] for q in quantities]), true[k]) for k in true}
+    return out
+
+
+def unknowns(light: np.ndarray, colours: np.ndarray, relit_pixels: np.ndarray, region: np.ndarray) -> dict:
+    """What intervals are drawn about: SH coefficients of the light (order 2) raw and over its mean, mean base colour of
+    the regions of like true colour raw and over the mean of all, relit pixels.
+    """
+    sh = sh_coefficients(light).reshape(-1, 3)
+    means = np.stack([colours[region == r].mean(0) for r in range(region.max() + 1)])
+    return {"sh": sh.ravel(), "sh_relative": (sh[1:] / sh[0].mean()).ravel(), "base_colour": means.ravel(),
+            "base_colour_relative": (means / colours.mean()).ravel(), "relit": relit_pixels.ravel()}
 
 
 def main() -> None:
@@ -90,10 +144,9 @@ def main() -> None:
     parser.add_argument("--set", nargs="*", default=[], help="settings as section.key=value")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    from pipeline.stage import overrides
     rows = []
     for name, folder in args.scene:
-        scene = load_scene(Path("configs") / f"{name}.yaml", overrides(args.set))
+        scene = parse_scene({"photos": folder} | overrides(args.set), name)
         folders = {s: args.work / name / s for s in ("observe", "poses", "atlas", "mesh", "fit")}
         for method in args.methods:
             rows.append({"scene": name} | judge(method, scene, folders, Path(folder), args.samples))

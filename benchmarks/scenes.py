@@ -21,19 +21,24 @@ from pipeline.files import read_json, write_json
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def run(folder: Path, preset: str, samples: int, extra: list[str]) -> dict:
-    """One scene through Snakemake; the metrics that matter."""
-    name, config = folder.name, ROOT / "configs" / f"{folder.name}.yaml"
+def snakemake(folder: Path, targets: list[str], settings: list[str]) -> None:
+    """Make `targets` of the scene in `folder`, under a configuration of its own if there is none of its name."""
+    config = ROOT / "configs" / f"{folder.name}.yaml"
     made = not config.exists()
     if made:
         config.write_text(f"photos: {json.dumps(str(folder.resolve()))}\n", encoding="utf-8")
     try:
-        command = [sys.executable, "-m", "snakemake", "--cores", "2", f"exports/{name}.usda", f"exports/{name}_report.html",
-                   "--config", f"preset={preset}", f"samples={samples}", *extra]
+        command = [sys.executable, "-m", "snakemake", "--cores", "2", *targets, "--config", *settings]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
     finally:
         if made:
             config.unlink()
+
+
+def run(folder: Path, preset: str, samples: int, extra: list[str]) -> dict:
+    """One scene through Snakemake; the metrics that matter."""
+    name = folder.name
+    snakemake(folder, [f"exports/{name}.usda", f"exports/{name}_report.html"], [f"preset={preset}", f"samples={samples}", *extra])
     return collect(name, samples)
 
 

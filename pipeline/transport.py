@@ -30,15 +30,20 @@ import drjit as dr                                             # noqa: E402  (af
 
 LOBES = ("diffuse", "dielectric", "metal white", "metal black")
 HIGHLIGHT_SAMPLES = 32      # directions per row drawn from the highlight
+PATCH = 2.0                 # radius in pixels over which photos are averaged
 STEEP = 0.3                 # rows with a smaller cosine of incidence are left out: their pixel covers much surface
 LANES = 1 << 20             # directions evaluated at once: bounds memory
 
 
 @dataclass
 class Rows:
-    """n observed pixels of p surface points, sorted by point: index into the observations and into the points."""
+    """n views of p surface points, sorted by point: index of the central pixel among the observations, and of the point.
+
+    patch (n, observations), rows of sum 1, averages over the pixels around the central one, all of the same view: less noise.
+    """
     observation: np.ndarray
     point: np.ndarray
+    patch: sparse.csr_matrix | None = None
 
     @property
     def starts(self) -> np.ndarray:
@@ -59,7 +64,7 @@ def spread_out(points: np.ndarray, count: int, rng: np.random.Generator) -> np.n
 
 
 def choose_rows(observations: Observations, scene, points: int, views: int, seed: int, pool: int = 400_000) -> Rows:
-    """Points spread evenly over the seen surface, each with up to `views` pixels that show it, one per view."""
+    """Points spread evenly over the seen surface, each with up to `views` patches of pixels that show it, one per view."""
     rng = np.random.default_rng(seed)
     usable = np.flatnonzero(observations.cosine > STEEP)
     if len(usable) < 50:
@@ -73,14 +78,18 @@ def choose_rows(observations: Observations, scene, points: int, views: int, seed
     position, footprint = o + t[:, None] * d, np.median(t / observations.lens[observations.view[usable], 0])
     candidates = rng.choice(len(usable), min(4 * points, len(usable)), replace=False)
     candidates = candidates[spread_out(position[candidates], points, rng)]
-    tree, rows, owner = cKDTree(position), [], []
-    for p, near in enumerate(tree.query_ball_point(position[candidates], 1.5 * footprint)):
+    tree, rows, owner, members = cKDTree(position), [], [], []
+    for p, near in enumerate(tree.query_ball_point(position[candidates], PATCH * footprint)):
         near = np.array(near)[np.argsort(np.linalg.norm(position[near] - position[candidates[p]], axis=1), kind="stable")]
-        _, first = np.unique(observations.view[usable[near]], return_index=True)         # the nearest pixel of each view
-        kept = rng.permutation(near[first])[:views]
-        rows.append(usable[kept])
+        seen = observations.view[usable[near]]
+        kept = rng.permutation(np.unique(seen, return_index=True)[1])[:views]             # the nearest pixel of each view
+        rows.append(usable[near[kept]])
         owner.append(np.full(len(kept), p))
-    return Rows(np.concatenate(rows), np.concatenate(owner))
+        members += [usable[near[seen == seen[k]]] for k in kept]
+    sizes = np.array([len(m) for m in members])
+    patch = sparse.csr_matrix((np.repeat(1 / sizes, sizes), (np.repeat(np.arange(len(sizes)), sizes), np.concatenate(members))),
+                              (len(sizes), len(observations)))
+    return Rows(np.concatenate(rows), np.concatenate(owner), patch)
 
 
 def bilinear(d: np.ndarray, h: int) -> tuple[np.ndarray, np.ndarray]:
@@ -246,7 +255,7 @@ class Transport:
         bounces: how many reflections the light has behind it at most, the node's own included.
         """
         rho = albedo[self.node_point]
-        first = rho * (self.sees @ light)
+        first = rho * (self.sees @ light.astype(np.float32))
         out = first
         for _ in range(bounces - 1):
             out = first + rho * (self.between @ out)

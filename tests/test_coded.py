@@ -61,6 +61,14 @@ def test_colour_columns_are_the_derivative(coded, photos):                    # 
     assert abs(numeric - slope) < 0.05 * abs(slope) + 0.5
 
 
+def test_coefficients_undo_the_code(photos):                                  # noqa: F811
+    """Also where the modes belong to a prior of fewer rows and another spread."""
+    gaussian, prior = smooth_prior(8, Code(0.3, 1.2)), smooth_prior(16, Code(-0.4, 0.7))
+    coded = ModeCode(photos, prior, 0.2, Modes(gaussian, prior, 30, 8), prior.flat_mean, 0.7)
+    c = torch.randn(1, 30, generator=torch.Generator().manual_seed(0))
+    assert torch.allclose(coded.coefficients(coded.code(c)), c, atol=1e-4)
+
+
 def test_translated_code_is_the_same_radiance():
     a, b = smooth_prior(8, Code(-0.4, 0.7)), smooth_prior(16, Code(0.3, 1.2))
     code = a.sample(1, torch.Generator().manual_seed(0))

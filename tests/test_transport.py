@@ -73,6 +73,9 @@ def test_rows_are_grouped_by_point_one_pixel_per_view(scene, transport):
     assert (np.diff(rows.point) >= 0).all() and len(rows.starts) == 40
     spread = [np.ptp(transport.position[rows.point == p], axis=0).max() for p in range(40)]
     assert max(spread) < 0.15                                                # pixels are about .04 wide at the ball
+    members = np.split(rows.patch.indices, rows.patch.indptr[1:-1])
+    assert np.allclose(rows.patch.sum(1), 1) and np.mean([len(m) for m in members]) > 4
+    assert all((observations.view[m] == observations.view[centre]).all() and centre in m for m, centre in zip(members, rows.observation))
     for p in range(40):
         seen = observations.view[rows.observation[rows.point == p]]
         assert 1 <= len(seen) <= 3 and len(set(seen)) == len(seen)

@@ -112,6 +112,10 @@ class Modes:
         """Code (3, M): mean (3, M) + sum of weighted (K,) modes."""
         return mean + self.fine.spread(torch.einsum("k,kcm->cm", weighted, self.B))
 
+    def within(self, offset: torch.Tensor) -> torch.Tensor:
+        """Weights (K,) of the modes in an offset (3, M) of codes; modes are orthogonal."""
+        return torch.einsum("kcm,cm->k", self.B, self.fine.down(offset)) / self.B.square().sum((1, 2))
+
     def moved(self, g: torch.Tensor) -> torch.Tensor:
         """Change of the operator's light per mode, (3, K, M'), for slopes g (3, M)."""
         slope = self.fine.down(g)
@@ -141,6 +145,10 @@ class ModeCode(Coded):
 
     def code(self, z: torch.Tensor) -> torch.Tensor:
         return self.modes.around(self.mean, z[0, :self.size] * self.keep)
+
+    def coefficients(self, code: torch.Tensor) -> torch.Tensor:
+        """(1, K) whose `code` is nearest to a code (3, M)."""
+        return (self.modes.within(code - self.mean) / self.keep)[None]
 
     def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Whole]:
         """Gauss-Newton; the three channels are one system, for the modes couple them."""

@@ -85,40 +85,42 @@ class Search:
         at = self.linear(c)
         return [self.piece(r, theta, *at) for r, theta in enumerate(thetas)], at
 
-    def draw_region(self, r: int, pieces: list[Piece], at: tuple, c: torch.Tensor, rng) -> tuple[Piece, torch.Tensor]:
-        """A candidate for region r by its evidence, and the light's step that goes with it (K,); `at` = linear(c)."""
-        others = [p for k, p in enumerate(pieces) if k != r]
+    def draw_material(self, group: list[int], pieces: list[Piece], at: tuple, c: torch.Tensor, rng) -> torch.Tensor:
+        """One roughness and metallic for the regions of `group` by evidence, into `pieces`; the light's step that goes with it (K,).
+
+        at = linear(c). Regions tend to share a material (a Chinese restaurant process, Aldous 1985, over the candidates).
+        """
+        others = [p for r, p in enumerate(pieces) if r not in group]
         H = torch.eye(len(c)) + sum(p.H for p in others)
         b = sum((p.b for p in others), -c)
-        found = []
-        for level in range(len(self.parts[r].lobes.levels)):
+        levels, found = len(self.parts[0].lobes.levels), []
+        for level in range(levels):
             for m in CANDIDATES:
-                new = pieces[r].theta.copy()
-                new.level[0], new.m[0] = level, m
-                piece = self.piece(r, new, *at)
-                factor = cholesky(H + piece.H)
-                step = torch.cholesky_solve((b + piece.b)[:, None], factor)[:, 0]
-                gain = 0.5 * float((b + piece.b) @ step) - float(factor.diagonal().log().sum())
-                found.append((piece.value + gain, piece, step))
+                mine = [self.piece(r, pieces[r].theta.made_of(level, m), *at) for r in group]
+                slope, factor = b + sum(p.b for p in mine), cholesky(H + sum(p.H for p in mine))
+                step = torch.cholesky_solve(slope[:, None], factor)[:, 0]
+                same = sum(p.theta.level[0] == level and p.theta.m[0] == m for p in others)
+                value = 0.5 * float(slope @ step) - float(factor.diagonal().log().sum()) + np.log1p(same * levels * len(CANDIDATES))
+                found.append((value + sum(p.value for p in mine), mine, step))
         values = np.array([v for v, _, _ in found])
         odds = np.exp(values - values.max())
-        _, piece, step = found[rng.choice(len(found), p=odds / odds.sum())]
-        return piece, step
+        _, mine, step = found[rng.choice(len(found), p=odds / odds.sum())]
+        for r, p in zip(group, mine):
+            pieces[r] = p
+        return step
 
     def run(self, theta: Theta, sweeps: int, rng: np.random.Generator) -> tuple[Theta, torch.Tensor]:
-        """Theta of all regions and the light's coefficients (1, K) after `sweeps` over the regions."""
+        """Theta of all regions and the light's coefficients (1, K): one material for all regions, then `sweeps` region by region."""
         c, count = torch.zeros(self.coded.size), len(self.parts)
-        single = [Theta(theta.mu[[r]], theta.tau[[r]], theta.level[[r]], theta.m[[r]]) for r in range(count)]
-        pieces, at = self.pieces(single, c)
+        pieces, at = self.pieces([theta.of([r]) for r in range(count)], c)
         for _ in range(3):                                                    # the light first, at the fit's materials
             H = torch.eye(len(c)) + sum(p.H for p in pieces)
             c = damped(c, torch.cholesky_solve(sum((p.b for p in pieces), -c)[:, None], cholesky(H))[:, 0])
-            pieces, at = self.pieces(single, c)
-        for _ in range(sweeps):
-            for r in rng.permutation(count):
-                pieces[r], step = self.draw_region(r, pieces, at, c, rng)
-                c = damped(c, step)
-                pieces, at = self.pieces([p.theta for p in pieces], c)
+            pieces, at = self.pieces([p.theta for p in pieces], c)
+        groups = [list(range(count))] + [[r] for _ in range(sweeps) for r in rng.permutation(count)]
+        for group in groups:
+            c = damped(c, self.draw_material(group, pieces, at, c, rng))
+            pieces, at = self.pieces([p.theta for p in pieces], c)
         parts = zip(*(vars(p.theta).values() for p in pieces))
         return Theta(*(np.concatenate(v) for v in parts)), c[None]
 

@@ -42,6 +42,14 @@ class Theta:
     def copy(self) -> "Theta":
         return Theta(*(v.copy() for v in vars(self).values()))
 
+    def of(self, regions: list[int]) -> "Theta":
+        """Some regions' part."""
+        return Theta(*(v[regions] for v in vars(self).values()))
+
+    def made_of(self, level: int, metallic: float) -> "Theta":
+        """The same colours in another material."""
+        return Theta(self.mu.copy(), self.tau.copy(), np.full_like(self.level, level), np.full_like(self.m, metallic))
+
 
 class Lobes:
     """The lobes' light matrices at every roughness level (half floats) and the sparse ones for light off the object."""

@@ -29,17 +29,11 @@ from .evidence import COMPONENTS, Search
 from .regions import group, texel_regions
 from .split_gibbs import SLICES, draw_light, noise_gain, prior_steps, widths
 
-FIRST, LAST = 1.5, 0.02     # noise levels in code units, where the prior's deviation is 0.5
-SWITCH = 0.15               # below, exact splitting; above, log radiance is too far from linear for white noise of that width
+FIRST, LAST = 0.15, 0.02    # widths of the splitting in code units, where the prior's deviation is 0.5; above, log radiance is far from linear
+SMOOTH = 0.7                # noise level of the first smooth turn: hides all but the largest shapes
 GAUSSIAN_TURNS = 3
 WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
-
-
-def schedule(levels: int, stay: int) -> tuple[np.ndarray, np.ndarray]:
-    """Noise levels of the smooth turns and widths of the split ones: `levels` in all from FIRST to LAST, then `stay` more at LAST."""
-    rhos = widths(levels, FIRST, LAST, stay)
-    return rhos[rhos > SWITCH], rhos[rhos <= SWITCH]
 
 
 def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts: np.ndarray, levels) -> Theta:
@@ -63,12 +57,12 @@ class Chain:
         scene = problem.renderer.scene
         rows = choose_rows(self.obs, scene, settings.points, settings.views, settings.seed)
         starts = rows.starts
-        rgb = self.obs.rgb[rows.observation]
+        rgb, clipped = rows.patch @ self.obs.rgb, rows.patch @ self.obs.clipped > 0
         mean = np.add.reduceat(rgb, starts) / np.diff(np.append(starts, len(rgb)))[:, None]
         region, self.centers = group(mean)
         transport = Transport(scene, problem.renderer.mesh, self.obs, rows, settings.light, round(NODES * len(starts)), settings.seed)
         lobes = Lobes(transport, problem.roughness_min, settings.seed)
-        self.photos = Photos(transport, lobes, rgb, self.obs.clipped[rows.observation], region, problem.renderer.max_depth - 1)
+        self.photos = Photos(transport, lobes, rgb, clipped, region, problem.renderer.max_depth - 1)
         self.theta = start_materials(fit, self.obs.uv[rows.observation], region, starts, lobes.levels)
         self.width, self.spread_width = (np.full(len(self.theta.m), 0.05) for _ in range(2))
         self.centre = self.log_scale = float(np.log(scale_of(fit.light)))
@@ -147,13 +141,12 @@ class Chain:
         """Decoupled annealing (DAPS, Zhang et al. 2025): noise on the code, the network's mean under it, and a draw about that mean
         with the covariance that the Gaussian prior has under the same noise. Code (3, M) in and out.
         """
-        prior, label = self.prior, self.settings.label
-        modes = Modes(self.gaussian, prior, COMPONENTS, self.photos.transport.h)
+        prior, modes = self.prior, Modes(self.gaussian, self.prior, COMPONENTS, self.photos.transport.h)
         for sigma in map(float, sigmas):
             noisy = (code + sigma * torch.randn(code.shape, generator=self.noise)).reshape(1, 3, prior.height, prior.width)
-            mean = prior.denoise(noisy, sigma, label).reshape(3, -1)
+            mean = prior.denoise(noisy, sigma, self.settings.label).reshape(3, -1)
             coded = ModeCode(self.photos, prior, self.log_scale, modes, mean, sigma)
-            c = self.light_turn(coded, torch.zeros(1, coded.size), torch.zeros(1, coded.size))
+            c = self.light_turn(coded, torch.zeros(1, coded.size), coded.coefficients(code))
             code = self.after_light(coded, coded.code(c))
             bar.step(f"error {100 * self.photos.eta:.1f} %")
         return code
@@ -176,10 +169,10 @@ class Chain:
 
     def run(self, seed: int) -> torch.Tensor:
         """All turns; the light's code (1, 3, h, w)."""
-        smooth, split = schedule(self.settings.levels, self.settings.stay)
-        with torch.no_grad(), Bar(f"sample {seed}", len(smooth) + len(split)) as bar:
-            code = self.start()
-            return self.split_turns(self.smooth_turns(code, smooth, bar), split, bar)
+        sigmas = np.geomspace(SMOOTH, FIRST, self.settings.smooth)
+        rhos = widths(self.settings.levels, FIRST, LAST, self.settings.stay)
+        with torch.no_grad(), Bar(f"sample {seed}", len(sigmas) + len(rhos)) as bar:
+            return self.split_turns(self.smooth_turns(self.start(), sigmas, bar), rhos, bar)
 
     def maps(self, light: np.ndarray, size: int) -> dict:
         """Texture maps: a drawn colour per point spread over its texels, roughness and metallic by region."""

@@ -13,7 +13,7 @@ from .likelihood import Photos, Theta, mix
 METALLIC = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 1.0])
 METALLIC_PRIOR = np.log(np.array([8, 4, 2, 1, 0.7, 0.5, 0.5, 0.5, 0.7, 1, 2, 4, 4]) / 28.9)     # things are metal or not
 BRIGHTNESS_PRIOR = (np.log(0.3), 0.7)       # mean and deviation of log base colour, mean of channels
-CHROMA_PRIOR = 0.4                          # deviation of log base colour between channels
+CHROMA_PRIOR, CHROMA_TAIL = 0.35, 3.0       # of log base colour between channels: width and degrees of freedom of Student's t; dyes are far out
 TAU_PRIOR = (np.log(0.3), 0.7)
 SCALE_PRIOR = 1.5                           # deviation of the log light scale about the level that fits a grey object
 
@@ -23,7 +23,8 @@ def log_prior(theta: Theta) -> np.ndarray:
     log_mu = np.log(theta.mu)
     mean = log_mu.mean(1)
     chroma = ((log_mu - mean[:, None]) ** 2).sum(1)
-    out = -0.5 * ((mean - BRIGHTNESS_PRIOR[0]) / BRIGHTNESS_PRIOR[1]) ** 2 - 0.5 * chroma / CHROMA_PRIOR**2
+    out = -0.5 * ((mean - BRIGHTNESS_PRIOR[0]) / BRIGHTNESS_PRIOR[1]) ** 2
+    out = out - 0.5 * (CHROMA_TAIL + 2) * np.log1p(chroma / (CHROMA_TAIL * CHROMA_PRIOR**2))
     out = out - 0.5 * ((np.log(theta.tau) - TAU_PRIOR[0]) / TAU_PRIOR[1]) ** 2
     out = out + METALLIC_PRIOR[np.abs(theta.m[:, None] - METALLIC).argmin(1)]
     return np.where((theta.mu > 0.98).any(1) | (theta.tau > 3), -np.inf, out)

@@ -20,8 +20,9 @@ import numpy as np
 import torch
 from scipy.linalg.blas import ssyrk
 
-NEWTON_STEPS = 8        # at most; fewer when a step gains less than NEWTON_GAIN: slice sampling is exact about any reference
+NEWTON_STEPS = 12       # at most; fewer when a step gains less than NEWTON_GAIN: slice sampling is exact about any reference
 NEWTON_GAIN = 5.0
+DAMPING, DAMPING_LIMIT = 6.0, 1e4       # factor between attempts at a step; where they end
 SLICES = 6
 
 
@@ -66,9 +67,13 @@ class Curvature:
     """A = J^T J + I / s^2 of one channel, J (n, M): solved in whichever of the two spaces is smaller (Woodbury)."""
 
     def __init__(self, J: torch.Tensor, s: float):
-        self.J, self.s, self.dual = J, s, J.shape[0] < J.shape[1]
-        inner = gram(J) if self.dual else gram(J.T.contiguous())
-        self.factor = cholesky(s**2 * inner + torch.eye(len(inner)))
+        self.J, self.dual = J, J.shape[0] < J.shape[1]
+        self.inner = gram(J) if self.dual else gram(J.T.contiguous())
+        self.set(s)
+
+    def set(self, s: float) -> None:
+        """Another s, the same J."""
+        self.s, self.factor = s, cholesky(s**2 * self.inner + torch.eye(len(self.inner)))
 
     def solve(self, b: torch.Tensor) -> torch.Tensor:
         """A^-1 b, (M,)"""
@@ -82,31 +87,46 @@ class Curvature:
         a, b = torch.randn(self.J.shape[1], generator=noise), torch.randn(self.J.shape[0], generator=noise)
         return self.solve(a / self.s + b @ self.J)
 
-    def log_determinant(self) -> float:
-        """Of s^2 A."""
-        return 2 * float(self.factor.diagonal().log().sum())
-
 
 class Laplace:
     """Gaussian N(mode, A^-1) near the peak of likelihood x N(z; x, rho^2), channels independent."""
 
     def __init__(self, likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float):
-        self.mode, self.rho = z.clone(), rho
+        self.mode, self.rho, self.damping = z.clone(), rho, 0.0
         target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
-        best = target(self.mode)
+        now, gain = target(self.mode), np.inf
         for _ in range(NEWTON_STEPS):
             self.J, r, self.fold = likelihood.expansion(self.mode)
-            self.curvature = [Curvature(J, rho) for J in self.J]
-            step = self.solve(self.fold.up(torch.einsum("cnk,cn->ck", self.J, r)) - (self.mode - x) / rho**2)
-            for share in (1.0, 0.5, 0.25, 0.1):
-                new = target(self.mode + share * step)
-                if new > best:
-                    self.mode, gain, best = self.mode + share * step, new - best, new
-                    break
-            else:
-                break
+            self.damping = self.damping / DAMPING if self.damping > 1 else 0.0
+            self.curvature = [Curvature(J, self.width) for J in self.J]
+            slope = self.fold.up(torch.einsum("cnk,cn->ck", self.J, r)) - (self.mode - x) / rho**2
+            gain, now = self.climb(target, now, slope)
             if gain < NEWTON_GAIN:
                 break
+        self.damp(0.0)
+
+    @property
+    def width(self) -> float:
+        """rho, smaller under damping."""
+        return self.rho / np.sqrt(1 + self.damping)
+
+    def damp(self, damping: float) -> None:
+        if damping != self.damping:
+            self.damping = damping
+            for A in self.curvature:
+                A.set(self.width)
+
+    def climb(self, target, now: float, slope: torch.Tensor) -> tuple[float, float]:
+        """A step of Levenberg (1944) and Marquardt, uphill or none: its gain and the new target."""
+        while True:
+            step = self.solve(slope)
+            then = target(self.mode + step)
+            if then > now:
+                self.mode = self.mode + step
+                return then - now, then
+            if self.damping > DAMPING_LIMIT:
+                return 0.0, now
+            self.damp(max(1.0, DAMPING * self.damping))
 
     def beside(self, z: torch.Tensor) -> torch.Tensor:
         """The part of z (3, M) of which the photos say nothing."""
@@ -115,7 +135,7 @@ class Laplace:
     def solve(self, b: torch.Tensor) -> torch.Tensor:
         """A^-1 b, (3, M)."""
         inner = torch.stack([A.solve(v) for A, v in zip(self.curvature, self.fold.down(b))])
-        return self.rho**2 * self.beside(b) + self.fold.up(inner)
+        return self.width**2 * self.beside(b) + self.fold.up(inner)
 
     def draw(self, noise: torch.Generator) -> torch.Tensor:
         """A draw of N(0, A^-1), (3, M)."""
