@@ -85,44 +85,46 @@ class Search:
         at = self.linear(c)
         return [self.piece(r, theta, *at) for r, theta in enumerate(thetas)], at
 
-    def draw_material(self, group: list[int], pieces: list[Piece], at: tuple, c: torch.Tensor, rng) -> torch.Tensor:
-        """One roughness and metallic for the regions of `group` by evidence, into `pieces`; the light's step that goes with it (K,).
-
-        at = linear(c). Regions tend to share a material (a Chinese restaurant process, Aldous 1985, over the candidates).
+    def draw_material(self, group: list[int], pieces: list[Piece], at: tuple, c: torch.Tensor, rng) -> tuple[list[Piece], torch.Tensor]:
+        """One roughness and metallic for all regions of `group`, or what they have, by evidence: all pieces, and the light's step
+        that goes with them (K,). at = linear(c).
         """
-        others = [p for r, p in enumerate(pieces) if r not in group]
-        H = torch.eye(len(c)) + sum(p.H for p in others)
-        b = sum((p.b for p in others), -c)
-        levels, found = len(self.parts[0].lobes.levels), []
-        for level in range(levels):
-            for m in CANDIDATES:
-                mine = [self.piece(r, pieces[r].theta.made_of(level, m), *at) for r in group]
-                slope, factor = b + sum(p.b for p in mine), cholesky(H + sum(p.H for p in mine))
-                step = torch.cholesky_solve(slope[:, None], factor)[:, 0]
-                same = sum(p.theta.level[0] == level and p.theta.m[0] == m for p in others)
-                value = 0.5 * float(slope @ step) - float(factor.diagonal().log().sum()) + np.log1p(same * levels * len(CANDIDATES))
-                found.append((value + sum(p.value for p in mine), mine, step))
+        choices = [(level, m) for level in range(len(self.parts[0].lobes.levels)) for m in CANDIDATES]
+        changed = lambda choice: [self.piece(r, p.theta.made_of(*choice), *at) if r in group else p for r, p in enumerate(pieces)]
+        rest = [sum(v) for v in zip(*((p.H, p.b) for r, p in enumerate(pieces) if r not in group))] or [0, 0]
+        found = []
+        for candidate in [pieces] + [changed(choice) for choice in choices]:
+            mine = [candidate[r] for r in group]
+            factor = cholesky(torch.eye(len(c)) + rest[0] + sum(p.H for p in mine))
+            slope = rest[1] + sum(p.b for p in mine) - c
+            step = torch.cholesky_solve(slope[:, None], factor)[:, 0]
+            gain = 0.5 * float(slope @ step) - float(factor.diagonal().log().sum())
+            found.append((gain + sum(p.value for p in mine) + shared(candidate, len(choices)), candidate, step))
         values = np.array([v for v, _, _ in found])
         odds = np.exp(values - values.max())
-        _, mine, step = found[rng.choice(len(found), p=odds / odds.sum())]
-        for r, p in zip(group, mine):
-            pieces[r] = p
-        return step
+        return found[rng.choice(len(found), p=odds / odds.sum())][1:]
 
     def run(self, theta: Theta, sweeps: int, rng: np.random.Generator) -> tuple[Theta, torch.Tensor]:
-        """Theta of all regions and the light's coefficients (1, K): one material for all regions, then `sweeps` region by region."""
+        """Theta of all regions and the light's coefficients (1, K) after `sweeps` region by region; between them all regions at once."""
         c, count = torch.zeros(self.coded.size), len(self.parts)
         pieces, at = self.pieces([theta.of([r]) for r in range(count)], c)
         for _ in range(3):                                                    # the light first, at the fit's materials
             H = torch.eye(len(c)) + sum(p.H for p in pieces)
             c = damped(c, torch.cholesky_solve(sum((p.b for p in pieces), -c)[:, None], cholesky(H))[:, 0])
             pieces, at = self.pieces([p.theta for p in pieces], c)
-        groups = [list(range(count))] + [[r] for _ in range(sweeps) for r in rng.permutation(count)]
-        for group in groups:
-            c = damped(c, self.draw_material(group, pieces, at, c, rng))
+        everywhere, one_by_one = [list(range(count))], [[[r] for r in rng.permutation(count)] for _ in range(sweeps)]
+        for group in sum((g + everywhere for g in one_by_one[:-1]), []) + sum(one_by_one[-1:], []):
+            pieces, step = self.draw_material(group, pieces, at, c, rng)
+            c = damped(c, step)
             pieces, at = self.pieces([p.theta for p in pieces], c)
         parts = zip(*(vars(p.theta).values() for p in pieces))
         return Theta(*(np.concatenate(v) for v in parts)), c[None]
+
+
+def shared(pieces: list[Piece], choices: int) -> float:
+    """Log-probability that regions share materials as they do: a Chinese restaurant process (Aldous 1985), up to a constant."""
+    have = [(p.theta.level[0], p.theta.m[0]) for p in pieces]
+    return sum(np.log1p(choices * have[:r].count(material)) for r, material in enumerate(have))
 
 
 def damped(c: torch.Tensor, step: torch.Tensor) -> torch.Tensor:

@@ -31,7 +31,7 @@ from .split_gibbs import SLICES, draw_light, noise_gain, prior_steps, widths
 
 FIRST, LAST = 0.15, 0.02    # widths of the splitting in code units, where the prior's deviation is 0.5; above, log radiance is far from linear
 SMOOTH = 0.7                # noise level of the first smooth turn: hides all but the largest shapes
-GAUSSIAN_TURNS = 3
+GAUSSIAN_TURNS = 3          # every row counted in full: what they leave over shows the noise's correlation
 WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
 
@@ -115,15 +115,15 @@ class Chain:
         for _ in range(count):
             self.coefficients = self.light_turn(coded, torch.zeros(1, coded.size), self.coefficients)
             self.after_light(coded, coded.code(self.coefficients))
-        code = coded.code(self.coefficients)
-        self.thin(coded.light(code))
-        return code
+        return coded.code(self.coefficients)
 
-    def start(self, turns: int = GAUSSIAN_TURNS) -> torch.Tensor:
-        """A draw under the Gaussian prior as a code (3, M) of the diffusion prior."""
+    def start(self, turns: int = 0) -> torch.Tensor:
+        """A draw under the Gaussian prior as a code (3, M) of the diffusion prior, after `turns` more with thinned rows."""
         g = self.gaussian
-        code = self.turns_with_gaussian(turns).reshape(1, 3, g.height, g.width)
-        return translated(code, g, self.prior).reshape(3, -1)
+        code = self.turns_with_gaussian(GAUSSIAN_TURNS)
+        self.thin(Coded(self.photos, g, self.log_scale, 1.0).light(code))
+        code = self.turns_with_gaussian(turns) if turns else code
+        return translated(code.reshape(1, 3, g.height, g.width), g, self.prior).reshape(3, -1)
 
     def after_light(self, coded: Coded, code: torch.Tensor, shifts=None) -> torch.Tensor:
         """Scale and materials given the light; the code, moved if `shifts` says what a move costs."""
@@ -209,4 +209,4 @@ def gaussian(problem: Problem, prior, start: Explanation, settings: Sample, seed
     """One posterior sample under the Gaussian prior `settings.search_prior`; `prior` gives the size of the light only."""
     chain = Chain(problem, prior, start, settings, seed)
     with torch.no_grad():
-        return chain.result(chain.start(max(settings.stay, 1)), start)
+        return chain.result(chain.start(GAUSSIAN_TURNS), start)
