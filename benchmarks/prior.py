@@ -66,7 +66,7 @@ def structure(x: np.ndarray) -> np.ndarray:
     h, out, finer = x.shape[1], [], None
     rows = h - h // 8
     pair = lambda a, b: [np.corrcoef(u.ravel(), v.ravel())[0, 1] for u, v in zip(np.abs(a), np.abs(b))]
-    for s in (h // 64, h // 32, h // 16, h // 8) if h >= 64 else (1, h // 16, h // 8, h // 8):
+    for s in (h // 64, h // 32, h // 16, h // 8) if h >= 64 else (1, 2, 3, 4):
         smooth = uniform_filter(x, (0, s, s), mode=("nearest", "nearest", "wrap"))
         edges = [(np.roll(smooth, -s, 2) - smooth)[:, :rows], smooth[:, s:s + rows] - smooth[:, :rows]]      # across, down
         for d in edges:
@@ -152,26 +152,26 @@ def histograms(prior_lights: np.ndarray, measured: np.ndarray) -> dict:
     return out
 
 
-def distances(codes: np.ndarray, known: np.ndarray) -> dict:
-    """Fréchet distance in either half of the feature space and in the whole."""
-    a, b = features(codes), features(known)
+def distances(a: np.ndarray, b: np.ndarray) -> dict:
+    """Fréchet distance of features a (n, 59) from those b of known maps, in either half of the space and in the whole."""
     a, b, n = a / (b.std(0) + 1e-9), b / (b.std(0) + 1e-9), APPEARANCE
     return {"all": frechet(a, b), "appearance": frechet(a[:, :n], b[:, :n]), "structure": frechet(a[:, n:], b[:, n:])}
 
 
-def judged(codes: np.ndarray, spread: float, mean: float, known: np.ndarray, held: np.ndarray, others: np.ndarray) -> dict:
-    """Everything that needs samples only: codes (n, 3, h, w) beside those of maps known, held out, and held out or other."""
+def judged(codes: np.ndarray, spread: float, mean: float, known: np.ndarray, held: np.ndarray, unseen: np.ndarray) -> dict:
+    """Everything that needs samples only: codes (n, 3, h, w) beside those of maps known, held out, and unseen (held out or other)."""
     radiance = lambda x: np.exp(x * spread + mean).transpose(0, 2, 3, 1)
     order = np.random.default_rng(0).permutation(len(known))
-    near = np.median(nearest(codes, known))
-    return {"frechet": distances(codes, known), "frechet_held_out": distances(held, known), "frechet_unseen": distances(others, known),
-            "frechet_halves": distances(*(known[k] for k in np.array_split(order, 2))),
-            "nearest_ratio": {"held_out": near / np.median(nearest(held, known)), "unseen": near / np.median(nearest(others, known))},
+    f, half = features(known), np.array_split(order, 2)
+    near, near_held, near_unseen = (np.median(nearest(x, known)) for x in (codes, held, unseen))
+    return {"frechet": distances(features(codes), f), "frechet_held_out": distances(features(held), f),
+            "frechet_unseen": distances(features(unseen), f), "frechet_halves": distances(f[half[0]], f[half[1]]),
+            "nearest_ratio": {"held_out": near / near_held, "unseen": near / near_unseen},
             "seam": seam(codes), "seam_data": seam(known),
-            "statistics": histograms(radiance(codes), radiance(np.concatenate([known, others])))}
+            "statistics": histograms(radiance(codes), radiance(np.concatenate([known, unseen])))}
 
 
-def unseen(data: Data, others: list[np.ndarray]) -> np.ndarray:
+def all_unseen(data: Data, others: list[np.ndarray]) -> np.ndarray:
     """Codes of the maps held out and of other radiance maps that nobody trained on."""
     logs = [to_log(scale_free(resample_area(m, data.height, 2 * data.height))) for m in others]
     return np.concatenate([data.measured(True)] + ([data.codes(np.stack(logs))] if logs else []))
@@ -181,16 +181,16 @@ def judge(name: str, data: Data, others: list[np.ndarray], count: int, steps: in
     """A row of the table for the prior called `name`, in that prior's own value code."""
     prior, start = load_prior(name), time.monotonic()
     data = replace(data, height=prior.height, mean=prior.code.mean, std=prior.code.std)
-    known, held, others = data.measured(False), data.measured(True), unseen(data, others)
+    known, held, unseen = data.measured(False), data.measured(True), all_unseen(data, others)
     if isinstance(prior, GaussianPrior):
         codes = prior.sample(count, torch.Generator().manual_seed(0))
     else:
         codes = draw(prior, count, steps, 100)
-    out = {"prior": name, "samples": count, "held_out": len(held), "unseen": len(others)}
-    out |= judged(codes.numpy(), prior.log_spread, data.mean, known, held, others)
+    out = {"prior": name, "samples": count, "held_out": len(held), "unseen": len(unseen)}
+    out |= judged(codes.numpy(), prior.log_spread, data.mean, known, held, unseen)
     model = lambda x, sigma, label: prior.denoise(x, float(sigma[0]))
     loss = lambda x: fixed_loss(model, torch.from_numpy(x), row_weights(prior.height), Training())
-    out["loss"] = {"train": loss(known), "held_out": loss(held), "all_unseen": loss(others)}
+    out["loss"] = {"train": loss(known), "held_out": loss(held), "all_unseen": loss(unseen)}
     out["yaw_error"], out["seconds"] = yaw_error(prior, known), times(prior, steps)
     if folder:
         for label in [None] if isinstance(prior, GaussianPrior) else [None, *LABELS]:
@@ -223,7 +223,7 @@ def main() -> None:
         codes = np.load(args.reni)["codes"]
         data = Data.load(args.data, codes.shape[2])
         rows.append({"prior": "RENI-like", "samples": len(codes)}
-                    | judged(codes, 2 * data.std, data.mean, data.measured(False), data.measured(True), unseen(data, others)))
+                    | judged(codes, 2 * data.std, data.mean, data.measured(False), data.measured(True), all_unseen(data, others)))
         print(json.dumps(rows[-1], indent=1, default=lambda v: np.round(v, 3).tolist()), flush=True)
     if args.out:
         write_json(args.out, {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows})

@@ -80,7 +80,7 @@ def test_search_finds_the_material(photos):                                   # 
     """Photos of a shiny and a rough region under a light of the prior's own: levels within one, metal told from dielectric."""
     prior = smooth_prior(8, Code(-0.4, 0.7))
     rng = np.random.default_rng(4)
-    truth = Theta(np.array([[0.6, 0.5, 0.4], [0.5, 0.2, 0.1]]), np.full(2, 0.05), np.array([0, 4]), np.array([1.0, 0.0]))
+    truth = Theta(np.array([[0.6, 0.5, 0.4], [0.3, 0.3, 0.35]]), np.full(2, 0.05), np.array([0, 4]), np.array([1.0, 0.0]))
     photos.eta, photos.kappa, photos.weight = 0.03, 1.0, np.ones(len(photos.y))
     photos.set(truth)
     B, _ = prior.modes(60)

@@ -104,8 +104,8 @@ class Modes:
 
     def __init__(self, gaussian: GaussianPrior, prior, count: int, operator: int):
         ratio = gaussian.log_spread / prior.log_spread
-        B, variance = gaussian.modes(count)                                   # (K, 3, m), (K,)
-        self.B, self.variance = ratio * B, ratio**2 * variance
+        B, variance = gaussian.modes(count)
+        self.B, self.variance = ratio * B, ratio**2 * variance                # (K, 3, m); (K,), the squared norms of B
         self.fine, self.coarse = Pool(prior.height, gaussian.height), Pool(gaussian.height, operator)
 
     def around(self, mean: torch.Tensor, weighted: torch.Tensor) -> torch.Tensor:
@@ -114,7 +114,7 @@ class Modes:
 
     def within(self, offset: torch.Tensor) -> torch.Tensor:
         """Weights (K,) of the modes in an offset (3, M) of codes; modes are orthogonal."""
-        return torch.einsum("kcm,cm->k", self.B, self.fine.down(offset)) / self.B.square().sum((1, 2))
+        return torch.einsum("kcm,cm->k", self.B, self.fine.down(offset)) / self.variance
 
     def moved(self, g: torch.Tensor) -> torch.Tensor:
         """Change of the operator's light per mode, (3, K, M'), for slopes g (3, M)."""

@@ -26,6 +26,7 @@ from .split_gibbs import cholesky
 
 COMPONENTS = 400        # modes of the Gaussian prior: 95 % of its variance
 ERROR, THINNING = 0.1, 3.0      # relative error, and rows per independent one, assumed during the search
+LIGHT_FIRST = 3         # steps of the light at the fit's materials
 CANDIDATES = METALLIC[[0, 4, 8, 12]]
 
 
@@ -91,15 +92,10 @@ class Search:
         """
         choices = [(level, m) for level in range(len(self.parts[0].lobes.levels)) for m in CANDIDATES]
         changed = lambda choice: [self.piece(r, p.theta.made_of(*choice), *at) if r in group else p for r, p in enumerate(pieces)]
-        rest = [sum(v) for v in zip(*((p.H, p.b) for r, p in enumerate(pieces) if r not in group))] or [0, 0]
         found = []
         for candidate in [pieces] + [changed(choice) for choice in choices]:
-            mine = [candidate[r] for r in group]
-            factor = cholesky(torch.eye(len(c)) + rest[0] + sum(p.H for p in mine))
-            slope = rest[1] + sum(p.b for p in mine) - c
-            step = torch.cholesky_solve(slope[:, None], factor)[:, 0]
-            gain = 0.5 * float(slope @ step) - float(factor.diagonal().log().sum())
-            found.append((gain + sum(p.value for p in mine) + shared(candidate, len(choices)), candidate, step))
+            step, gain = light_step(candidate, c)
+            found.append((gain + sum(p.value for p in candidate) + shared(candidate, len(choices)), candidate, step))
         values = np.array([v for v, _, _ in found])
         odds = np.exp(values - values.max())
         return found[rng.choice(len(found), p=odds / odds.sum())][1:]
@@ -108,17 +104,28 @@ class Search:
         """Theta of all regions and the light's coefficients (1, K) after `sweeps` region by region; between them all regions at once."""
         c, count = torch.zeros(self.coded.size), len(self.parts)
         pieces, at = self.pieces([theta.of([r]) for r in range(count)], c)
-        for _ in range(3):                                                    # the light first, at the fit's materials
-            H = torch.eye(len(c)) + sum(p.H for p in pieces)
-            c = damped(c, torch.cholesky_solve(sum((p.b for p in pieces), -c)[:, None], cholesky(H))[:, 0])
-            pieces, at = self.pieces([p.theta for p in pieces], c)
-        everywhere, one_by_one = [list(range(count))], [[[r] for r in rng.permutation(count)] for _ in range(sweeps)]
-        for group in sum((g + everywhere for g in one_by_one[:-1]), []) + sum(one_by_one[-1:], []):
-            pieces, step = self.draw_material(group, pieces, at, c, rng)
+        for group in [None] * LIGHT_FIRST + groups(count, sweeps, rng):       # None: the light alone, at the fit's materials
+            pieces, step = self.draw_material(group, pieces, at, c, rng) if group else (pieces, light_step(pieces, c)[0])
             c = damped(c, step)
             pieces, at = self.pieces([p.theta for p in pieces], c)
-        parts = zip(*(vars(p.theta).values() for p in pieces))
-        return Theta(*(np.concatenate(v) for v in parts)), c[None]
+        return Theta.joined([p.theta for p in pieces]), c[None]
+
+
+def light_step(pieces: list[Piece], c: torch.Tensor) -> tuple[torch.Tensor, float]:
+    """Newton step (K,) of the light's coefficients at c, and b' H^-1 b / 2 - log det H / 2."""
+    factor = cholesky(torch.eye(len(c)) + sum(p.H for p in pieces))
+    slope = sum(p.b for p in pieces) - c
+    step = torch.cholesky_solve(slope[:, None], factor)[:, 0]
+    return step, 0.5 * float(slope @ step) - float(factor.diagonal().log().sum())
+
+
+def groups(count: int, sweeps: int, rng: np.random.Generator) -> list[list[int]]:
+    """Which regions move together, in order: each alone, in a new order every sweep; all at once between sweeps."""
+    out = []
+    for k in range(sweeps):
+        out += [list(range(count))] if k else []
+        out += [[r] for r in rng.permutation(count)]
+    return out
 
 
 def shared(pieces: list[Piece], choices: int) -> float:

@@ -42,6 +42,11 @@ class Theta:
     def copy(self) -> "Theta":
         return Theta(*(v.copy() for v in vars(self).values()))
 
+    @classmethod
+    def joined(cls, parts: "list[Theta]") -> "Theta":
+        """Inverse of `of` region by region."""
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in vars(parts[0])))
+
     def of(self, regions: list[int]) -> "Theta":
         """Some regions' part."""
         return Theta(*(v[regions] for v in vars(self).values()))

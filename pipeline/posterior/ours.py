@@ -21,11 +21,11 @@ from ..prior.sampling import reverse_diffusion
 from ..progress import Bar
 from ..transport import Transport, choose_rows
 from .coded import Coded, ModeCode, Modes, PixelCode
+from .evidence import COMPONENTS, Search
 from .likelihood import Lobes, Photos, Theta, channel_effect, design_effect
 from .problem import Problem, generators
 from .refine import fill, gather, splat
 from .region_moves import METALLIC, draw_gauge, draw_regions, propose_spread
-from .evidence import COMPONENTS, Search
 from .regions import group, texel_regions
 from .split_gibbs import SLICES, draw_light, noise_gain, prior_steps, widths
 

@@ -94,7 +94,7 @@ class Laplace:
     def __init__(self, likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float):
         self.mode, self.rho, self.damping = z.clone(), rho, 0.0
         target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
-        now, gain = target(self.mode), np.inf
+        now = target(self.mode)
         for _ in range(NEWTON_STEPS):
             self.J, r, self.fold = likelihood.expansion(self.mode)
             self.damping = self.damping / DAMPING if self.damping > 1 else 0.0
