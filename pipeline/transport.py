@@ -193,7 +193,7 @@ class Transport:
         rows, columns = np.nonzero(cosine > 0)
         self.meets[rows, columns] = self._trace(self.node_position[rows], self.node_normal[rows], self.d[columns])
         weight = np.where(cosine > 0, cosine, 0) * self.solid / np.pi
-        self.sees = np.asarray((self.to_light.T @ np.where(self.meets == -1, weight, 0).T).T, np.float32)    # (q, M)
+        self.sees = np.ascontiguousarray((self.to_light.T @ np.where(self.meets == -1, weight, 0).T).T, np.float32)      # (q, M)
         rows, columns = np.nonzero(self.meets >= 0)
         self.between = sparse.csr_matrix((weight[rows, columns], (rows, self.meets[rows, columns])), (q, q))
 

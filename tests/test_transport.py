@@ -121,20 +121,20 @@ def photos(transport):
     lobes = Lobes(transport, 0.2, 0)
     n = len(transport.rows.point)
     out = Photos(transport, lobes, rng.uniform(0.1, 1.0, (n, 3)), np.zeros(n, bool), rng.integers(0, 2, 40), 1)
-    out.eta, out.kappa, out.weight = 0.2, 1.7, rng.uniform(0.5, 2, n)
+    out.eta, out.kappa, out.weight, out.share = 0.2, 1.7, rng.uniform(0.5, 2, n), rng.uniform(0.3, 2, 40)
     out.set(Theta(rng.uniform(0.2, 0.7, (2, 3)), np.array([0.1, 0.5]), np.array([1, 4]), np.array([0.0, 0.8])))
     return out
 
 
 def dense_value(photos, light) -> float:
-    """log N(y; mu U + W, kappa (D + v' U U')) without the noise's constants; v' keeps v U U' / kappa out of the tempering."""
+    """log N(y; mu U + W, D kappa / share + v U U') without the noise's constants."""
     U, W = photos.predict(light)
     total = 0.0
     for p in range(len(photos.region)):
         k, r = photos.rows.point == p, photos.region[p]
         for c in range(3):
             mu, v = photos.theta.mu[r, c], (photos.theta.tau[r] * photos.theta.mu[r, c]) ** 2
-            D = np.diag(photos.kappa * (photos.eta * (photos.observed[k, c] + SHADE)) ** 2 / photos.weight[k])
+            D = np.diag(photos.kappa / photos.share[p] * (photos.eta * (photos.observed[k, c] + SHADE)) ** 2 / photos.weight[k])
             S, e = D + v * np.outer(U[k, c], U[k, c]), photos.y[k, c] - mu * U[k, c] - W[k, c]
             total -= 0.5 * (e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1] - np.linalg.slogdet(D)[1])
     return total

@@ -1,7 +1,7 @@
 """The photos' likelihood as a function of a light code and the regions' mean colours (split_gibbs.LightLikelihood).
 
 Light and colours trade against each other and must move together, so that z holds both: the code's unknowns, then the log mean
-colours, scaled so that z ~ N(., width^2) makes them N(BRIGHTNESS_PRIOR, COLOUR_SPREAD^2). The exact prior of the colours is part
+colours, scaled so that z ~ N(., width^2) makes them N(COLOUR, COLOUR_SPREAD^2). The exact prior of the colours is part
 of `value`. PixelCode has a code per pixel; ModeCode the leading modes of the Gaussian prior around a given code.
 """
 
@@ -13,9 +13,10 @@ import torch
 from ..prior.gaussian import GaussianPrior
 from .likelihood import Photos, Theta
 from .pooling import Fold, Pool, Whole
-from .region_moves import BRIGHTNESS_PRIOR, log_prior
+from .region_moves import log_prior
 
-COLOUR_SPREAD = 0.8         # deviation of log base colour in the reference Gaussian of the colours
+COMPONENTS = 400            # modes of the Gaussian prior: 95 % of its variance
+COLOUR, COLOUR_SPREAD = np.log(0.3), 0.8        # mean and deviation of log base colour in the reference Gaussian of the colours
 
 
 class Coded:
@@ -45,16 +46,16 @@ class Coded:
     def scaled(self, mu: np.ndarray) -> torch.Tensor:
         """Colours (R, 3) as numbers in z, (3, R)."""
         log_mu = torch.from_numpy(np.log(mu).T.astype(np.float32))
-        return (log_mu - BRIGHTNESS_PRIOR[0]) * (self.width / COLOUR_SPREAD)
+        return (log_mu - COLOUR) * (self.width / COLOUR_SPREAD)
 
     def unscaled(self, numbers: torch.Tensor) -> np.ndarray:
         """Inverse of `scaled`."""
-        return np.exp(numbers.T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + BRIGHTNESS_PRIOR[0])
+        return np.exp(numbers.T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + COLOUR)
 
     def value(self, z: torch.Tensor) -> float:
         theta = self.photos.theta.copy()
         theta.mu = self.colours(z)
-        prior = log_prior(theta).sum()
+        prior = log_prior(theta)
         if not np.isfinite(prior):
             return -np.inf
         self.photos.set(theta)

@@ -19,32 +19,39 @@ import torch
 
 from ..prior.gaussian import GaussianPrior
 from ..transport import Rows
-from .coded import ModeCode, Modes
+from .coded import COMPONENTS, ModeCode, Modes
 from .likelihood import Photos, Theta
 from .region_moves import METALLIC, log_prior
 from .split_gibbs import cholesky
 
-COMPONENTS = 400        # modes of the Gaussian prior: 95 % of its variance
+ROWS = 16               # of the light: the modes are no finer
 ERROR, THINNING = 0.1, 3.0      # relative error, and rows per independent one, assumed during the search
 LIGHT_FIRST = 3         # steps of the light at the fit's materials
 CANDIDATES = METALLIC[[0, 4, 8, 12]]
 
 
+def pooled(T: torch.Tensor, rows: int) -> torch.Tensor:
+    """Operators (..., M) on a light as operators on one of `rows` rows, the same all over each of its pixels."""
+    h = round((T.shape[-1] / 2) ** 0.5)
+    return T.reshape(*T.shape[:-1], rows, h // rows, 2 * rows, h // rows).sum((-3, -1)).flatten(-2)
+
+
 def subset(photos: Photos, points: np.ndarray) -> Photos:
-    """Some of the points only, as one region, without light off the object; `points` sorted."""
-    keep = np.isin(photos.rows.point, points)
-    lobes, index = copy(photos.lobes), torch.from_numpy(np.flatnonzero(keep))
-    lobes.direct = [F[:, index] for F in photos.lobes.direct]
+    """Some of the points only, as one region, under lights of ROWS rows; `points` sorted."""
+    keep, transport, lobes = np.isin(photos.rows.point, points), copy(photos.transport), copy(photos.lobes)
+    index, transport.h = torch.from_numpy(np.flatnonzero(keep)), min(ROWS, transport.h)
+    lobes.direct = [pooled(F[:, index], transport.h) for F in photos.lobes.direct]
     lobes.off = [[g[keep] for g in G] for G in photos.lobes.off]
     rows = Rows(photos.rows.observation[keep], np.searchsorted(points, photos.rows.point[keep]))
-    out = Photos(photos.transport, lobes, photos.observed[keep], photos.clipped[keep], np.zeros(len(points), int), 1, rows)
+    out = Photos(transport, lobes, photos.observed[keep], photos.clipped[keep], np.zeros(len(points), int), 1, rows)
     out.eta, out.kappa, out.weight = ERROR, THINNING, np.where(out.clipped, 0.05, 1.0)      # saturated rows say little here
+    out.share = photos.share[points]
     return out
 
 
 @dataclass
 class Piece:
-    """One region at one candidate: its Theta (of one region), log-likelihood with prior, J'J (K, K) and J'r (K,)."""
+    """One region at one candidate: its Theta (of one region), log-likelihood, J'J (K, K) and J'r (K,)."""
     theta: Theta
     value: float
     H: torch.Tensor
@@ -59,7 +66,7 @@ class Search:
         for r in range(photos.region.max() + 1):
             mine = rng.permutation(np.flatnonzero(photos.region == r))
             self.parts.append(subset(photos, np.sort(mine[:max(8, round(share * len(mine)))])))      # small regions have a say too
-        modes = Modes(gaussian, gaussian, COMPONENTS, photos.transport.h)
+        modes = Modes(gaussian, gaussian, COMPONENTS, self.parts[0].transport.h)
         self.coded = ModeCode(self.parts[0], gaussian, log_scale, modes, gaussian.flat_mean)
 
     def light(self, c: torch.Tensor) -> np.ndarray:
@@ -79,7 +86,7 @@ class Search:
         T, y, _ = part.whitened(light)
         residual = y - torch.einsum("cnm,mc->cn", T, torch.from_numpy(light.astype(np.float32)))
         J = torch.einsum("cnm,ckm->cnk", T, moved).reshape(-1, moved.shape[1])
-        return Piece(theta, part.value(light) + float(log_prior(theta).sum()), J.T @ J, J.T @ residual.reshape(-1))
+        return Piece(theta, part.value(light), J.T @ J, J.T @ residual.reshape(-1))
 
     def pieces(self, thetas: list[Theta], c: torch.Tensor) -> tuple[list[Piece], tuple]:
         """Every region at its Theta, linearised at c; and what `linear` says there."""
@@ -95,7 +102,8 @@ class Search:
         found = []
         for candidate in [pieces] + [changed(choice) for choice in choices]:
             step, gain = light_step(candidate, c)
-            found.append((gain + sum(p.value for p in candidate) + shared(candidate, len(choices)), candidate, step))
+            prior = log_prior(joined(candidate)) + shared(candidate, len(choices))
+            found.append((gain + sum(p.value for p in candidate) + prior, candidate, step))
         values = np.array([v for v, _, _ in found])
         odds = np.exp(values - values.max())
         return found[rng.choice(len(found), p=odds / odds.sum())][1:]
@@ -108,7 +116,12 @@ class Search:
             pieces, step = self.draw_material(group, pieces, at, c, rng) if group else (pieces, light_step(pieces, c)[0])
             c = damped(c, step)
             pieces, at = self.pieces([p.theta for p in pieces], c)
-        return Theta.joined([p.theta for p in pieces]), c[None]
+        return joined(pieces), c[None]
+
+
+def joined(pieces: list[Piece]) -> Theta:
+    """The materials of all pieces."""
+    return Theta.joined([p.theta for p in pieces])
 
 
 def light_step(pieces: list[Piece], c: torch.Tensor) -> tuple[torch.Tensor, float]:

@@ -1,7 +1,7 @@
 """`split_gibbs`: one posterior draw of light and materials from the transport operator and the diffusion prior.
 
 Set-up: rows of the photos over the surface (transport.py), regions of like colour, the noise and its design effect from
-the residuals of the fit. Then the turns of split_gibbs.py, each followed by moves of materials, scale and noise.
+the residuals of the fit. Then the turns of turns.py, each followed by moves of materials, scale and noise.
 """
 
 from __future__ import annotations
@@ -11,28 +11,25 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from ..config import Sample
 from ..optics import Explanation
 from ..prior import load_prior
 from ..prior.code import scale_of
-from ..prior.gaussian import translated
-from ..prior.sampling import reverse_diffusion
-from ..progress import Bar
 from ..transport import Transport, choose_rows
-from .coded import Coded, ModeCode, Modes, PixelCode
-from .evidence import COMPONENTS, Search
+from .coded import Coded, PixelCode
+from .evidence import Search
 from .likelihood import Lobes, Photos, Theta, channel_effect, design_effect
 from .problem import Problem, generators
 from .refine import fill, gather, splat
 from .region_moves import METALLIC, draw_gauge, draw_regions, propose_spread
 from .regions import group, texel_regions
-from .split_gibbs import SLICES, draw_light, noise_gain, prior_steps, widths
+from .turns import LAST, Turns
 
-FIRST, LAST = 0.15, 0.02    # widths of the splitting in code units, where the prior's deviation is 0.5; above, log radiance is far from linear
-SMOOTH = 0.7                # noise level of the first smooth turn: hides all but the largest shapes
 GAUSSIAN_TURNS = 3          # every row counted in full: what they leave over shows the noise's correlation
 WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
+BLOCKS = 12                 # pieces of surface that err together
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
 
 
@@ -48,24 +45,32 @@ def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts
     return Theta(mu, np.full(count, 0.3), level, m)
 
 
-class Chain:
-    """The state of one draw."""
+def block_shares(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """How much each point (p, 3) counts in this draw, mean 1: the same within a block of surface, exponential between blocks."""
+    blocks = cKDTree(position[rng.choice(len(position), min(BLOCKS, len(position)), replace=False)]).query(position)[1]
+    share = rng.exponential(size=blocks.max() + 1)[blocks]
+    return share / share.mean()
+
+
+class Chain(Turns):
+    """Turns for the light, with materials, scale and noise unknown."""
 
     def __init__(self, problem: Problem, prior, fit: Explanation, settings: Sample, seed: int):
-        self.rng, self.noise = generators(settings, seed)
-        self.prior, self.settings, self.obs = prior, settings, problem.observations
-        scene = problem.renderer.scene
-        rows = choose_rows(self.obs, scene, settings.points, settings.views, settings.seed)
+        rng, noise = generators(settings, seed)
+        self.obs, scene, own = problem.observations, problem.renderer.scene, settings.seed + 1000 * seed
+        rows = choose_rows(self.obs, scene, settings.points, settings.views, own)
         starts = rows.starts
         rgb, clipped = rows.patch @ self.obs.rgb, rows.patch @ self.obs.clipped > 0
-        mean = np.add.reduceat(rgb, starts) / np.diff(np.append(starts, len(rgb)))[:, None]
-        region, self.centers = group(mean)
-        transport = Transport(scene, problem.renderer.mesh, self.obs, rows, settings.light, round(NODES * len(starts)), settings.seed)
-        lobes = Lobes(transport, problem.roughness_min, settings.seed)
-        self.photos = Photos(transport, lobes, rgb, clipped, region, problem.renderer.max_depth - 1)
-        self.theta = start_materials(fit, self.obs.uv[rows.observation], region, starts, lobes.levels)
-        self.width, self.spread_width = (np.full(len(self.theta.m), 0.05) for _ in range(2))
-        self.centre = self.log_scale = float(np.log(scale_of(fit.light)))
+        region, self.centers = group(gather(fit.base_color, self.obs.uv[rows.observation[starts]]))
+        self.region_map = texel_regions(fit.base_color, self.centers, settings.texture)
+        transport = Transport(scene, problem.renderer.mesh, self.obs, rows, settings.light, round(NODES * len(starts)), own)
+        lobes = Lobes(transport, problem.roughness_min, own)
+        photos = Photos(transport, lobes, rgb, clipped, region, problem.renderer.max_depth - 1)
+        photos.share = block_shares(transport.position[starts], rng)
+        theta = start_materials(fit, self.obs.uv[rows.observation], region, starts, lobes.levels)
+        self.width, self.spread_width = (np.full(len(theta.m), 0.05) for _ in range(2))
+        self.centre = float(np.log(scale_of(fit.light)))
+        super().__init__(photos, theta, self.centre, prior, load_prior(settings.search_prior), settings, rng, noise)
         light = self.search()
         self.photos.set(self.theta)
         for _ in range(3):
@@ -81,10 +86,10 @@ class Chain:
 
     def search(self) -> np.ndarray:
         """Materials to start from, by evidence; the light (M', 3) that goes with them."""
-        self.gaussian = load_prior(self.settings.search_prior)
         search = Search(self.photos, self.gaussian, self.log_scale, self.settings.search_points, self.rng)
         self.theta, self.coefficients = search.run(self.theta, self.settings.search_sweeps, self.rng)
-        return search.light(self.coefficients[0])
+        coded = self.gaussian_code()
+        return coded.light(coded.code(self.coefficients))
 
     def colour(self, light: np.ndarray):
         U, W = self.photos.predict(light)
@@ -101,29 +106,12 @@ class Chain:
             colour, U, W = self.colour(light)
             self.photos.draw_noise(U, W, colour, self.rng)
 
-    def light_turn(self, coded: Coded, about: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
-        """Unknowns of the light's code drawn about `about` together with the regions' colours, from z on."""
-        z = draw_light(coded, coded.centre(about), coded.join(z, self.theta), coded.width, SLICES, self.rng, self.noise)
-        self.theta.mu = coded.colours(z)
-        self.photos.set(self.theta)
-        return z[:, :coded.size]
-
-    def turns_with_gaussian(self, count: int) -> torch.Tensor:
-        """Light | rest with the Gaussian prior's modes; the code (3, m) in that prior's units."""
-        modes = Modes(self.gaussian, self.gaussian, COMPONENTS, self.photos.transport.h)
-        coded = ModeCode(self.photos, self.gaussian, self.log_scale, modes, self.gaussian.flat_mean)
-        for _ in range(count):
-            self.coefficients = self.light_turn(coded, torch.zeros(1, coded.size), self.coefficients)
-            self.after_light(coded, coded.code(self.coefficients))
-        return coded.code(self.coefficients)
-
     def start(self, turns: int = 0) -> torch.Tensor:
         """A draw under the Gaussian prior as a code (3, M) of the diffusion prior, after `turns` more with thinned rows."""
-        g = self.gaussian
         code = self.turns_with_gaussian(GAUSSIAN_TURNS)
-        self.thin(Coded(self.photos, g, self.log_scale, 1.0).light(code))
+        self.thin(Coded(self.photos, self.gaussian, self.log_scale, 1.0).light(code))
         code = self.turns_with_gaussian(turns) if turns else code
-        return translated(code.reshape(1, 3, g.height, g.width), g, self.prior).reshape(3, -1)
+        return self.handed_over(code)
 
     def after_light(self, coded: Coded, code: torch.Tensor, shifts=None) -> torch.Tensor:
         """Scale and materials given the light; the code, moved if `shifts` says what a move costs."""
@@ -137,42 +125,10 @@ class Chain:
         self.materials(coded.light(code), self.settings.region_steps)
         return code
 
-    def smooth_turns(self, code: torch.Tensor, sigmas, bar: Bar) -> torch.Tensor:
-        """Decoupled annealing (DAPS, Zhang et al. 2025): noise on the code, the network's mean under it, and a draw about that mean
-        with the covariance that the Gaussian prior has under the same noise. Code (3, M) in and out.
-        """
-        prior, modes = self.prior, Modes(self.gaussian, self.prior, COMPONENTS, self.photos.transport.h)
-        for sigma in map(float, sigmas):
-            noisy = (code + sigma * torch.randn(code.shape, generator=self.noise)).reshape(1, 3, prior.height, prior.width)
-            mean = prior.denoise(noisy, sigma, self.settings.label).reshape(3, -1)
-            coded = ModeCode(self.photos, prior, self.log_scale, modes, mean, sigma)
-            c = self.light_turn(coded, torch.zeros(1, coded.size), coded.coefficients(code))
-            code = self.after_light(coded, coded.code(c))
-            bar.step(f"error {100 * self.photos.eta:.1f} %")
-        return code
-
-    def split_turns(self, code: torch.Tensor, rhos, bar: Bar) -> torch.Tensor:
-        """Split Gibbs (split_gibbs.py): code (3, M) in, a draw of the prior side out."""
-        prior, shape = self.prior, (1, 3, self.prior.height, self.prior.width)
-        coded = PixelCode(self.photos, prior, self.log_scale, float(rhos[0]))
-        z = code + float(rhos[0]) * torch.randn(code.shape, generator=self.noise)
-        x = code
-        for rho in map(float, rhos):
-            coded.width, coded.gain = rho, noise_gain(prior.log_spread, rho)
-            z = self.light_turn(coded, x, z)
-            gap = (z - x).mean(1).numpy()
-            cost = lambda d: float(-0.5 * z.shape[1] * ((gap + d / prior.log_spread) ** 2 - gap**2).sum() / rho**2)
-            z = self.after_light(coded, z, cost)
-            x = reverse_diffusion(prior, z.reshape(shape), rho, prior_steps(rho), self.settings.label, self.rng, self.noise).reshape(3, -1)
-            bar.step(f"error {100 * self.photos.eta:.1f} %")
-        return x
-
     def run(self, seed: int) -> torch.Tensor:
-        """All turns; the light's code (1, 3, h, w)."""
-        sigmas = np.geomspace(SMOOTH, FIRST, self.settings.smooth)
-        rhos = widths(self.settings.levels, FIRST, LAST, self.settings.stay)
-        with torch.no_grad(), Bar(f"sample {seed}", len(sigmas) + len(rhos)) as bar:
-            return self.split_turns(self.smooth_turns(self.start(), sigmas, bar), rhos, bar)
+        """All turns; the light's code (3, M)."""
+        with torch.no_grad():
+            return self.diffusion_turns(self.start(), f"sample {seed}")
 
     def maps(self, light: np.ndarray, size: int) -> dict:
         """Texture maps: a drawn colour per point spread over its texels, roughness and metallic by region."""
@@ -180,7 +136,7 @@ class Chain:
         rows = self.photos.rows
         total = splat(self.obs.uv[rows.observation], np.concatenate([colour[rows.point], np.ones((len(rows.point), 1))], 1), size)
         known = total[..., 3] > 0.05
-        region = texel_regions(self.obs, self.centers, size)
+        region = self.region_map
         base = fill(total[..., :3] / np.maximum(total[..., 3:], 1e-6), known)
         levels = np.array(self.photos.lobes.levels)
         return {"base_color": np.clip(cv2.GaussianBlur(base, (0, 0), 1.0), 0, 1).astype(np.float32),

@@ -1,7 +1,8 @@
 """Markov-chain moves of the region materials and of the light's scale, the light's pattern held (likelihood.py's letters).
 
-Given the light, regions do not know of each other (light off the object is held during a block), so all of them propose
-and accept at once. Metropolis-Hastings throughout: Theta and the scale are drawn, not optimised.
+Given the light, the photos of one region say nothing of another (light off the object is held during a block), so all of them
+propose at once; they accept one after the other, for the prior joins their colours. Metropolis-Hastings throughout: Theta and
+the scale are drawn, not optimised.
 """
 
 from __future__ import annotations
@@ -12,22 +13,41 @@ from .likelihood import Photos, Theta, mix
 
 METALLIC = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 1.0])
 METALLIC_PRIOR = np.log(np.array([8, 4, 2, 1, 0.7, 0.5, 0.5, 0.5, 0.7, 1, 2, 4, 4]) / 28.9)     # things are metal or not
-BRIGHTNESS_PRIOR = (np.log(0.3), 0.7)       # mean and deviation of log base colour, mean of channels
-CHROMA_PRIOR, CHROMA_TAIL = 0.35, 3.0       # of log base colour between channels: width and degrees of freedom of Student's t; dyes are far out
+DIELECTRIC, METAL = (np.log(0.3), 0.7), (np.log(0.6), 0.35)     # mean and width of log base colour, mean of channels; between them by metallic
+CHROMA = 0.35                               # width of log base colour between channels
+COMMON = 0.5                                # share of both variances that all regions of an object have in common
+TAIL = 3.0                                  # degrees of freedom of Student's t: black paint and dyes are far out
 TAU_PRIOR = (np.log(0.3), 0.7)
 SCALE_PRIOR = 1.5                           # deviation of the log light scale about the level that fits a grey object
 
 
-def log_prior(theta: Theta) -> np.ndarray:
-    """Of every region (R,), up to a constant."""
-    log_mu = np.log(theta.mu)
+def joint_tail(v: np.ndarray, freedom: int) -> float:
+    """Log of Student's t of standardised v (R, k), `freedom` of whose columns are independent; rows correlate by COMMON."""
+    square = ((v**2).sum() - COMMON / (1 + (len(v) - 1) * COMMON) * (v.sum(0) ** 2).sum()) / (1 - COMMON)
+    return -0.5 * (TAIL + freedom * len(v)) * float(np.log1p(square / TAIL))
+
+
+def log_colour_prior(mu: np.ndarray, m: np.ndarray) -> float:
+    """Of all regions' colours (R, 3) given their metallic (R,) together, up to a constant: an object is dark or bright, grey or
+    tinted, as a whole too. Independent colours would make the common brightness and tint, which the light trades with, the surer the
+    more regions there are.
+    """
+    log_mu = np.log(mu)
     mean = log_mu.mean(1)
-    chroma = ((log_mu - mean[:, None]) ** 2).sum(1)
-    out = -0.5 * ((mean - BRIGHTNESS_PRIOR[0]) / BRIGHTNESS_PRIOR[1]) ** 2
-    out = out - 0.5 * (CHROMA_TAIL + 2) * np.log1p(chroma / (CHROMA_TAIL * CHROMA_PRIOR**2))
-    out = out - 0.5 * ((np.log(theta.tau) - TAU_PRIOR[0]) / TAU_PRIOR[1]) ** 2
+    centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
+    return joint_tail(((mean - centre) / width)[:, None], 1) - float(np.log(width).sum()) + joint_tail((log_mu - mean[:, None]) / CHROMA, 2)
+
+
+def log_own_prior(theta: Theta) -> np.ndarray:
+    """Of every region's spread of colour and metallic (R,), up to a constant; -inf where a value is impossible."""
+    out = -0.5 * ((np.log(theta.tau) - TAU_PRIOR[0]) / TAU_PRIOR[1]) ** 2
     out = out + METALLIC_PRIOR[np.abs(theta.m[:, None] - METALLIC).argmin(1)]
     return np.where((theta.mu > 0.98).any(1) | (theta.tau > 3), -np.inf, out)
+
+
+def log_prior(theta: Theta) -> float:
+    """Of all materials, up to a constant."""
+    return log_colour_prior(theta.mu, theta.m) + float(log_own_prior(theta).sum())
 
 
 def propose_spread(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarray) -> Theta:
@@ -59,18 +79,29 @@ def rows_of(lobes: np.ndarray, photos: Photos, theta: Theta) -> tuple[np.ndarray
 
 
 def draw_regions(photos: Photos, lobes: np.ndarray, theta: Theta, steps: int, rng, width: np.ndarray, proposal=propose) -> Theta:
-    """`steps` Metropolis-Hastings steps of all regions at once. `width` (R,) adapts towards 30 % acceptance, in place."""
-    total = lambda t: np.bincount(photos.region, photos.point_values(*rows_of(lobes, photos, t), t), len(t.m)) + log_prior(t)
+    """`steps` Metropolis-Hastings steps of every region. `width` (R,) adapts towards 30 % acceptance, in place."""
+    total = lambda t: np.bincount(photos.region, photos.point_values(*rows_of(lobes, photos, t), t), len(t.m)) + log_own_prior(t)
     now = total(theta)
     for _ in range(steps):
         new = proposal(theta, len(lobes), rng, width)
         then = total(new)
-        yes = np.log(rng.random(len(now))) < then - now
+        yes = accepted(theta, new, then - now, rng)
         mixed = lambda a, b: np.where(yes.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
         theta, now = Theta(*(mixed(a, b) for a, b in zip(vars(new).values(), vars(theta).values()))), np.where(yes, then, now)
         width *= np.exp(0.05 * (yes - 0.3))
         np.clip(width, 0.003, 0.5, out=width)
     return theta
+
+
+def accepted(theta: Theta, new: Theta, gain: np.ndarray, rng) -> np.ndarray:
+    """Which regions take their new materials, one after the other; gain (R,): what speaks for it beside the prior of the colours."""
+    yes, now = np.zeros(len(gain), bool), log_colour_prior(theta.mu, theta.m)
+    for r, level in enumerate(np.log(rng.random(len(gain)))):
+        yes[r] = True
+        then = log_colour_prior(np.where(yes[:, None], new.mu, theta.mu), np.where(yes, new.m, theta.m))
+        yes[r] = level < gain[r] + then - now
+        now = then if yes[r] else now
+    return yes
 
 
 def draw_gauge(photos: Photos, U, W, theta: Theta, log_scale: float, centre: float, pull, steps: int,
@@ -84,7 +115,7 @@ def draw_gauge(photos: Photos, U, W, theta: Theta, log_scale: float, centre: flo
 
     def value(t, log_s, d):
         gain = np.exp(log_s - log_scale + d)
-        return (photos.point_values(U * gain, W * gain, t).sum() + log_prior(t).sum() + pull(d)
+        return (photos.point_values(U * gain, W * gain, t).sum() + log_prior(t) + pull(d)
                 - 0.5 * ((log_s - centre) / SCALE_PRIOR) ** 2)
     now, log_s = value(theta, log_scale, shift), log_scale
     for k in range(steps):

@@ -10,8 +10,6 @@ import cv2
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from ..observe import Observations
-
 BRIGHTNESS = 0.35       # weight of log brightness against log chromaticity
 EXPLAINED = 0.85        # share of the spread at which no more groups are added
 LARGEST = 6
@@ -37,13 +35,8 @@ def group(rgb: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return label, centers[used]
 
 
-def texel_regions(observations: Observations, centers: np.ndarray, size: int) -> np.ndarray:
-    """Region of every texel (size, size) by its mean observed colour; texels no photo shows take their neighbour's."""
-    from .refine import fill, splat
-    uv, rgb = observations.uv, observations.rgb
-    total = splat(uv, np.concatenate([rgb, np.ones((len(uv), 1))], 1), size)
-    known = total[..., 3] > 0.05
-    colour = fill(total[..., :3] / np.maximum(total[..., 3:], 1e-6), known)
-    distance = ((features(colour)[:, :, None] - centers) ** 2).sum(-1)
-    label = distance.argmin(-1).astype(np.uint8)
+def texel_regions(base_color: np.ndarray, centers: np.ndarray, size: int) -> np.ndarray:
+    """Region of every texel (size, size) by a map of base colour."""
+    colour = cv2.resize(base_color, (size, size), interpolation=cv2.INTER_AREA)
+    label = ((features(colour)[:, :, None] - centers) ** 2).sum(-1).argmin(-1).astype(np.uint8)
     return cv2.medianBlur(label, 5) if size >= 32 else label

@@ -1,0 +1,210 @@
+"""How the draws' spread follows what the photos can tell: against roughness, against the number of views, behind a mask.
+
+python -m benchmarks.spread --draws 6 --lights 3 --out spread.json --chart spread.png
+
+A sphere of known material under a light drawn from the prior, seen from evenly spread cameras, 3 % noise (as in Figs. 9 to 11 of
+the paper). `split_gibbs`' turns draw the light and the base colour; roughness and metallic are known. Spread: standard deviation between draws
+of log luminance over blocks of 22.5 degrees less its mean, averaged over solid angle; beside it the same for draws of the prior
+alone, which is what nothing seen would give.
+
+`roughness`: metal from nearly a mirror to rough, from all sides, then a white dielectric of roughness 1 (nearly Lambert's). `views`: metal of
+roughness VIEWED from 1 to 32 sides. `masked`: a mirror of which one half only is seen, from one side; the light's blocks are split by
+whether the seen half reflects them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from pipeline.config import Sample
+from pipeline.envmap import directions, resample_area, solid_angles
+from pipeline.files import write_json
+from pipeline.images import luminance, write_png
+from pipeline.mesh_io import Mesh, save_mesh
+from pipeline.posterior.likelihood import LEVELS, Lobes, Photos, Theta
+from pipeline.posterior.problem import SHADE, generators
+from pipeline.posterior.turns import LAST, Turns
+from pipeline.posterior.coded import PixelCode
+from pipeline.prior import load_prior
+from pipeline.prior.sampling import draw
+from pipeline.progress import progress
+from pipeline.runtime import set_threads
+from pipeline.transport import STEEP, Rows, Transport
+
+POINTS, ERROR, COLOUR, VIEWED = 150, 0.03, 0.8, 0.35
+VIEWS = (1, 2, 4, 8, 16, 32)
+BLOCKS = 8              # rows of the light over which luminance is averaged
+WEIGHT = solid_angles(BLOCKS, 2 * BLOCKS).reshape(-1)
+
+
+def even(count: int) -> np.ndarray:
+    """`count` directions (count, 3) spread over the sphere (Fibonacci lattice); y up."""
+    k = np.arange(count) + 0.5
+    y, a = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    r = np.sqrt(1 - y**2)
+    return np.stack([r * np.sin(a), y, r * np.cos(a)], -1)
+
+
+class Sphere:
+    """Rays that see points of the unit sphere from `cameras` (v, 3), as the operator asks for them; `seen` limits the points."""
+
+    def __init__(self, cameras: np.ndarray, seen=lambda p: np.ones(len(p), bool)):
+        points = even(POINTS)
+        points = points[seen(points)]
+        d = points[:, None] - cameras
+        d /= np.linalg.norm(d, axis=-1, keepdims=True)
+        point, view = np.nonzero((-d * points[:, None]).sum(-1) > STEEP)
+        self.o, self.d, self.normal = cameras[view], d[point, view], points[point]
+        self.rows = Rows(np.arange(len(point)), np.unique(point, return_inverse=True)[1])
+
+    def centre_rays(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.o[index], self.d[index]
+
+
+def ball(folder: Path) -> tuple[object, Path]:
+    """Mitsuba scene and file of a finely meshed unit sphere."""
+    import open3d as o3d
+    from pipeline.runtime import mitsuba as mi
+    sphere, path = o3d.geometry.TriangleMesh.create_sphere(1.0, 80), folder / "ball.ply"
+    vertices = np.asarray(sphere.vertices)
+    save_mesh(path, Mesh(vertices, np.asarray(sphere.triangles), vertices / np.linalg.norm(vertices, axis=1, keepdims=True)))
+    return mi.load_dict({"type": "scene", "obj": {"type": "ply", "filename": str(path)}}), path
+
+
+def photographed(sphere: Sphere, roughness: float, metallic: float, light: np.ndarray, size: int, rng) -> Photos:
+    """Photos (likelihood) of the sphere under `light` (h, 2h, 3); the operator has `size` rows."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene, path = ball(Path(folder))
+        transport = Transport(scene, path, sphere, sphere.rows, size, 0, 0)
+    lobes = Lobes(transport, roughness, 0)
+    n, points = len(sphere.rows.point), sphere.rows.point.max() + 1
+    photos = Photos(transport, lobes, np.ones((n, 3)), np.zeros(n, bool), np.zeros(points, int), 1)
+    photos.set(Theta(np.full((1, 3), COLOUR), np.full(1, 1e-3), np.zeros(1, int), np.full(1, metallic)))
+    U, W = photos.predict(resample_area(light, size, 2 * size).reshape(-1, 3))
+    clean = COLOUR * U + W
+    photos.eta, photos.observed = ERROR, clean + ERROR * (clean + SHADE) * rng.normal(size=clean.shape)
+    photos.y = photos.observed.copy()
+    return photos
+
+
+def blocks(light: np.ndarray) -> np.ndarray:
+    """Log luminance of the light's blocks less its mean (BLOCKS * 2 BLOCKS,): an unknown base colour leaves the brightness open."""
+    out = np.log(luminance(resample_area(light, BLOCKS, 2 * BLOCKS))).reshape(-1)
+    return out - np.average(out, weights=WEIGHT)
+
+
+def posterior(photos: Photos, prior, settings: Sample, draws: int) -> np.ndarray:
+    """Blocks of `draws` posterior lights (draws, BLOCKS * 2 BLOCKS)."""
+    gaussian, out = load_prior(settings.search_prior), []
+    for seed in range(draws):
+        rng, noise = generators(settings, seed)
+        turns = Turns(photos, photos.theta.copy(), 0.0, prior, gaussian, settings, rng, noise)
+        with torch.no_grad():
+            code = turns.diffusion_turns(turns.handed_over(turns.turns_with_gaussian(2)), f"draw {seed}")
+            light = PixelCode(photos, prior, 0.0, LAST).radiance(code).T.reshape(prior.height, prior.width, 3).numpy()
+        out.append(blocks(light))
+    return np.array(out)
+
+
+def facing(p: np.ndarray) -> np.ndarray:
+    """The half that `masked` sees."""
+    return p[:, 0] > 0.1
+
+
+CASES = [("roughness", r, 1.0, 16) for r in LEVELS[::2] + LEVELS[-1:]] + [("roughness Lambert", 1.0, 0.0, 16)] \
+    + [("views", VIEWED, 1.0, v) for v in VIEWS] + [("masked", LEVELS[0], 1.0, 1)]
+
+
+def measure(job: tuple) -> dict:
+    """One case under one light: spread of the draws, share of true blocks within 2 deviations; for `masked` by seen and unseen."""
+    (kind, roughness, metallic, views), k, draws, name = job
+    set_threads(1)
+    settings, prior = Sample(prior=name), load_prior(name)
+    light = prior.decode(draw(prior, k + 1, 30, 11)[k:])[0].numpy().transpose(1, 2, 0)
+    cameras = 5 * even(views) if kind != "masked" else 5 * np.array([[0.0, 0.0, 1.0]])
+    sphere = Sphere(cameras, facing) if kind == "masked" else Sphere(cameras)
+    photos = photographed(sphere, roughness, metallic, light, settings.light, np.random.default_rng([k, 5]))
+    drawn, true = posterior(photos, prior, settings, draws), blocks(light)
+    spread, error = drawn.std(0, ddof=1), np.abs(drawn.mean(0) - true)
+    out = {"kind": kind, "roughness": roughness, "metallic": metallic, "views": views, "light": k, "rows": len(photos.y),
+           "spread": float(np.average(spread, weights=WEIGHT)), "error": float(np.average(error, weights=WEIGHT))}
+    if kind == "masked":
+        mirrored = sphere.d - 2 * (sphere.d * sphere.normal).sum(1, keepdims=True) * sphere.normal
+        d = directions(BLOCKS, 2 * BLOCKS).reshape(-1, 3)
+        seen = (d @ mirrored.T).max(1) > np.cos(np.radians(12))
+        out["spread"], out["spread_unseen"] = (float(np.average(spread[s], weights=WEIGHT[s])) for s in (seen, ~seen))
+        out["seen_share"] = float(np.average(seen, weights=WEIGHT))
+    return out
+
+
+def prior_spread(name: str, count: int) -> float:
+    """The same figure for draws of the prior alone."""
+    prior = load_prior(name)
+    maps = prior.decode(draw(prior, count, 30, 12)).numpy().transpose(0, 2, 3, 1)
+    return float(np.average(np.std([blocks(m) for m in maps], axis=0, ddof=1), weights=WEIGHT))
+
+
+def table(rows: list[dict]) -> list[dict]:
+    """Mean and standard error over lights per case."""
+    out = []
+    for case in CASES:
+        mine = [r for r in rows if (r["kind"], r["roughness"], r["metallic"], r["views"]) == case]
+        line = dict(zip(("kind", "roughness", "metallic", "views"), case))
+        for key in ("spread", "spread_unseen", "error"):
+            values = [r[key] for r in mine if key in r]
+            if values:
+                line[key] = [float(np.mean(values)), float(np.std(values, ddof=1) / len(values) ** 0.5) if len(values) > 1 else None]
+        out.append(line)
+    return out
+
+
+def chart(lines: list[dict], top: float, path: Path) -> None:
+    """Two panels, spread against roughness and against views, as a PNG of 900 x 400."""
+    image = np.full((400, 900, 3), 255, np.uint8)
+    write = lambda text, at: cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
+    for left, kind, key, title in ((60, "roughness", "roughness", "roughness (last: Lambert)"), (510, "views", "views", "views")):
+        mine = [line for line in lines if line["kind"].split()[0] == kind]
+        at = [(left + int(340 * k / (len(mine) - 1)), 350 - int(300 * line["spread"][0] / top)) for k, line in enumerate(mine)]
+        cv2.polylines(image, [np.array(at)], False, (180, 90, 20), 2, cv2.LINE_AA)
+        for (x, y), line in zip(at, mine):
+            bar = int(300 * (line["spread"][1] or 0) / top)
+            cv2.line(image, (x, y - bar), (x, y + bar), (180, 90, 20), 1)
+            write(f"{line[key]:g}" if line["kind"] == kind else "L", (x - 8, 372))
+        cv2.rectangle(image, (left, 50), (left + 340, 350), (120, 120, 120), 1)
+        write(f"spread of log luminance against {title}; top: prior alone, {top:.2f}", (left - 40, 30))
+    write_png(path, image)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--draws", type=int, default=6)
+    parser.add_argument("--lights", type=int, default=3)
+    parser.add_argument("--prior", default="prior_small")
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--chart", type=Path)
+    args = parser.parse_args()
+    jobs = [(case, k, args.draws, args.prior) for case in CASES for k in range(args.lights)]
+    with ProcessPoolExecutor(args.workers) as pool:
+        rows = list(progress(pool.map(measure, jobs), "cases", len(jobs)))
+    lines, top = table(rows), prior_spread(args.prior, 48)
+    result = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "prior": args.prior, "prior_alone": top, "table": lines, "rows": rows}
+    print(json.dumps({"prior_alone": top, "table": lines}, indent=1))
+    if args.out:
+        write_json(args.out, result)
+    if args.chart:
+        chart(lines, top, args.chart)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""Turns of a chain for the light: under the Gaussian prior, by decoupled annealing, by split Gibbs; materials may be known.
+
+`Turns` draws the light's code and the regions' mean colours; what else is unknown is drawn by `after_light`, which a chain
+overrides (ours.py).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from ..config import Sample
+from ..prior.gaussian import GaussianPrior, translated
+from ..prior.sampling import reverse_diffusion
+from ..progress import Bar
+from .coded import COMPONENTS, Coded, ModeCode, Modes, PixelCode
+from .likelihood import Photos, Theta
+from .split_gibbs import SLICES, draw_light, noise_gain, prior_steps, widths
+
+FIRST, LAST = 0.15, 0.02    # widths of the splitting in code units, where the prior's deviation is 0.5; above, log radiance is far from linear
+SMOOTH = 0.7                # noise level of the first smooth turn: hides all but the largest shapes
+
+
+class Turns:
+    """The state of one draw: photos, materials theta and log_scale of the light, coefficients (1, K) of the Gaussian prior's modes."""
+
+    def __init__(self, photos: Photos, theta: Theta, log_scale: float, prior, gaussian: GaussianPrior, settings: Sample, rng, noise):
+        self.photos, self.theta, self.log_scale = photos, theta, log_scale
+        self.prior, self.gaussian, self.settings, self.rng, self.noise = prior, gaussian, settings, rng, noise
+        self.coefficients = torch.zeros(1, COMPONENTS)
+
+    def after_light(self, coded: Coded, code: torch.Tensor, shifts=None) -> torch.Tensor:
+        """The code after moves of all that is unknown beside the light and the mean colours; `shifts` says what it costs to move the code."""
+        return code
+
+    def light_turn(self, coded: Coded, about: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
+        """Unknowns of the light's code drawn about `about` together with the regions' colours, from z on."""
+        z = draw_light(coded, coded.centre(about), coded.join(z, self.theta), coded.width, SLICES, self.rng, self.noise)
+        self.theta.mu = coded.colours(z)
+        self.photos.set(self.theta)
+        return z[:, :coded.size]
+
+    def gaussian_code(self) -> ModeCode:
+        """The light as modes of the Gaussian prior about its mean."""
+        modes = Modes(self.gaussian, self.gaussian, COMPONENTS, self.photos.transport.h)
+        return ModeCode(self.photos, self.gaussian, self.log_scale, modes, self.gaussian.flat_mean)
+
+    def turns_with_gaussian(self, count: int) -> torch.Tensor:
+        """Light | rest with the Gaussian prior's modes; the code (3, m) in that prior's units."""
+        coded = self.gaussian_code()
+        for _ in range(count):
+            self.coefficients = self.light_turn(coded, torch.zeros(1, coded.size), self.coefficients)
+            self.after_light(coded, coded.code(self.coefficients))
+        return coded.code(self.coefficients)
+
+    def handed_over(self, code: torch.Tensor) -> torch.Tensor:
+        """A code of the Gaussian prior (3, m) as one of the diffusion prior (3, M)."""
+        g = self.gaussian
+        return translated(code.reshape(1, 3, g.height, g.width), g, self.prior).reshape(3, -1)
+
+    def smooth_turns(self, code: torch.Tensor, sigmas, bar: Bar) -> torch.Tensor:
+        """Decoupled annealing (DAPS, Zhang et al. 2025): noise on the code, the network's mean under it, and a draw about that mean
+        with the covariance that the Gaussian prior has under the same noise. Code (3, M) in and out.
+        """
+        prior, modes = self.prior, Modes(self.gaussian, self.prior, COMPONENTS, self.photos.transport.h)
+        for sigma in map(float, sigmas):
+            noisy = (code + sigma * torch.randn(code.shape, generator=self.noise)).reshape(1, 3, prior.height, prior.width)
+            mean = prior.denoise(noisy, sigma, self.settings.label).reshape(3, -1)
+            coded = ModeCode(self.photos, prior, self.log_scale, modes, mean, sigma)
+            c = self.light_turn(coded, torch.zeros(1, coded.size), coded.coefficients(code))
+            code = self.after_light(coded, coded.code(c))
+            bar.step(f"error {100 * self.photos.eta:.1f} %")
+        return code
+
+    def split_turns(self, code: torch.Tensor, rhos, bar: Bar) -> torch.Tensor:
+        """Split Gibbs (split_gibbs.py): code (3, M) in, a draw of the prior side out."""
+        prior, shape = self.prior, (1, 3, self.prior.height, self.prior.width)
+        coded = PixelCode(self.photos, prior, self.log_scale, float(rhos[0]))
+        z = code + float(rhos[0]) * torch.randn(code.shape, generator=self.noise)
+        x = code
+        for rho in map(float, rhos):
+            coded.width, coded.gain = rho, noise_gain(prior.log_spread, rho)
+            z = self.light_turn(coded, x, z)
+            gap = (z - x).mean(1).numpy()
+            cost = lambda d: float(-0.5 * z.shape[1] * ((gap + d / prior.log_spread) ** 2 - gap**2).sum() / rho**2)
+            z = self.after_light(coded, z, cost)
+            x = reverse_diffusion(prior, z.reshape(shape), rho, prior_steps(rho), self.settings.label, self.rng, self.noise).reshape(3, -1)
+            bar.step(f"error {100 * self.photos.eta:.1f} %")
+        return x
+
+    def diffusion_turns(self, code: torch.Tensor, title: str) -> torch.Tensor:
+        """Smooth turns, then split ones: a code (3, M) to start from in, a draw out."""
+        sigmas = np.geomspace(SMOOTH, FIRST, self.settings.smooth)
+        rhos = widths(self.settings.levels, FIRST, LAST, self.settings.stay)
+        with Bar(title, len(sigmas) + len(rhos)) as bar:
+            return self.split_turns(self.smooth_turns(code, sigmas, bar), rhos, bar)

@@ -1,0 +1,50 @@
+"""Moves of the materials: without photos they draw the prior."""
+from types import SimpleNamespace
+
+import numpy as np
+
+from pipeline.posterior.likelihood import Theta
+from pipeline.posterior.ours import BLOCKS, block_shares
+from pipeline.posterior.region_moves import CHROMA, COMMON, DIELECTRIC, METAL, METALLIC, METALLIC_PRIOR, TAIL, draw_regions
+
+SILENT = SimpleNamespace(region=np.array([0, 1]), row_region=np.array([0, 1]), point_values=lambda U, W, t: np.zeros(2))
+
+
+def from_the_prior(rng) -> Theta:
+    """Two regions, directly: Student's t as a normal over a chi, impossible colours thrown away."""
+    root = np.linalg.cholesky((1 - COMMON) * np.eye(2) + COMMON)
+    student = lambda k: root @ rng.normal(size=(2, k)) * np.sqrt(TAIL / rng.chisquare(TAIL))
+    across = np.linalg.svd(np.ones((1, 3)))[2][1:]
+    while True:
+        m = rng.choice(METALLIC, 2, p=np.exp(METALLIC_PRIOR) / np.exp(METALLIC_PRIOR).sum())
+        centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
+        mu = np.exp((centre + width * student(1)[:, 0])[:, None] + CHROMA * student(2) @ across)
+        if mu.max() < 0.98:
+            return Theta(mu, np.full(2, 0.3), np.zeros(2, int), m)
+
+
+def figures(thetas: list[Theta]) -> np.ndarray:
+    """Quartiles of one region's log brightness, share of metals, share of times that both regions are on one side of its median, tint."""
+    log_mu = np.log([t.mu for t in thetas])
+    bright, metal = log_mu.mean(2), np.array([t.m[0] > 0.5 for t in thetas])
+    middle = np.median(bright)
+    tint = np.median(np.abs(log_mu[:, 0] - bright[:, :1]))
+    return np.array([*np.percentile(bright[:, 0], [25, 50, 75]), metal.mean(), ((bright > middle).sum(1) != 1).mean(), tint])
+
+
+def test_moves_leave_the_prior_as_it_is():
+    """Every chain starts with a draw of the prior, and still is one after 40 steps of wide moves."""
+    rng = np.random.default_rng(0)
+    first = [from_the_prior(rng) for _ in range(2500)]
+    lobes = np.zeros((8, 4, 2, 3))
+    last = [draw_regions(SILENT, lobes, t, 40, rng, np.full(2, 0.5)) for t in first]
+    moved = np.mean([np.abs(a.mu - b.mu).max() > 0.01 for a, b in zip(first, last)])
+    assert moved > 0.9
+    np.testing.assert_allclose(figures(last), figures(first), atol=0.06)
+
+
+def test_block_shares_are_even_in_the_mean_and_uneven_between_blocks():
+    rng, position = np.random.default_rng(1), np.random.default_rng(2).normal(size=(300, 3))
+    shares = np.array([block_shares(position, rng) for _ in range(200)])
+    assert np.allclose(shares.mean(1), 1) and all(len(np.unique(s)) == BLOCKS for s in shares)
+    assert np.abs(shares.mean(0) - 1).max() < 0.5 and 0.5 < shares.std(1).mean() < 1.3
