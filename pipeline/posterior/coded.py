@@ -1,8 +1,8 @@
 """The photos' likelihood as a function of a light code and the regions' mean colours (split_gibbs.LightLikelihood).
 
-Light and colours trade against each other and must move together, so that z holds both: the code's unknowns, then the log mean
-colours, scaled so that z ~ N(., width^2) makes them N(COLOUR, COLOUR_SPREAD^2). The exact prior of the colours is part
-of `value`. PixelCode has a code per pixel; ModeCode the leading modes of the Gaussian prior around a given code.
+Light and colours trade against each other and must move together, so that z holds both: the code's unknowns, then the mean
+colours as numbers q with mu = MU_MAX (1 - exp(-exp q)), which is log mu where mu is small and knows no edge where it is not, scaled
+so that z ~ N(., width^2) makes them N(COLOUR, COLOUR_SPREAD^2). The exact prior of the colours is part of `value`. PixelCode has a code per pixel; ModeCode the leading modes of the Gaussian prior around a given code.
 """
 
 from __future__ import annotations
@@ -13,10 +13,16 @@ import torch
 from ..prior.gaussian import GaussianPrior
 from .likelihood import Photos, Theta
 from .pooling import Fold, Pool, Whole
-from .region_moves import log_prior
+from .region_moves import MU_MAX, log_prior
 
 COMPONENTS = 400            # modes of the Gaussian prior: 95 % of its variance
 COLOUR, COLOUR_SPREAD = np.log(0.3), 0.8        # mean and deviation of log base colour in the reference Gaussian of the colours
+
+
+def steepness(mu: np.ndarray) -> np.ndarray:
+    """d log mu / d q."""
+    rest = 1 - mu / MU_MAX
+    return -np.log(rest) * rest / (1 - rest)
 
 
 class Coded:
@@ -45,31 +51,30 @@ class Coded:
 
     def scaled(self, mu: np.ndarray) -> torch.Tensor:
         """Colours (R, 3) as numbers in z, (3, R)."""
-        log_mu = torch.from_numpy(np.log(mu).T.astype(np.float32))
-        return (log_mu - COLOUR) * (self.width / COLOUR_SPREAD)
+        q = torch.from_numpy(np.log(-np.log1p(-mu / MU_MAX)).T.astype(np.float32))
+        return (q - COLOUR) * (self.width / COLOUR_SPREAD)
 
     def unscaled(self, numbers: torch.Tensor) -> np.ndarray:
         """Inverse of `scaled`."""
-        return np.exp(numbers.T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + COLOUR)
+        u = np.exp(numbers.T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + COLOUR)
+        return np.clip(-MU_MAX * np.expm1(-u), 1e-6, MU_MAX * (1 - 1e-6))
 
     def value(self, z: torch.Tensor) -> float:
         theta = self.photos.theta.copy()
         theta.mu = self.colours(z)
-        prior = log_prior(theta)
-        if not np.isfinite(prior):
-            return -np.inf
+        prior = log_prior(theta) + float(np.log(steepness(theta.mu)).sum())
         self.photos.set(theta)
         return self.photos.value(self.light(self.code(z))) + prior + 0.5 * float(z[:, self.size:].square().sum()) / self.width**2
 
     def linear(self, z: torch.Tensor):
         """Slope g (3, M), T (3, n, M'), residual (3, n), V (3, n, R) at z."""
         theta = self.photos.theta.copy()
-        theta.mu = np.minimum(self.colours(z), 0.97)
+        theta.mu = self.colours(z)
         self.photos.set(theta)
         L, g = self.slopes(self.code(z))
         L = self.pool.down(L)
         T, y, V = self.photos.whitened(L.T.numpy().astype(np.float64))
-        return g, T, y - torch.einsum("cnm,cm->cn", T, L), V * (COLOUR_SPREAD / self.width)
+        return g, T, y - torch.einsum("cnm,cm->cn", T, L), V * torch.from_numpy(steepness(theta.mu).T[:, None].astype(np.float32)) * (COLOUR_SPREAD / self.width)
 
 
 class PixelCode(Coded):

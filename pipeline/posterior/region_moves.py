@@ -18,6 +18,7 @@ CHROMA = 0.35                               # width of log base colour between c
 COMMON = 0.5                                # share of both variances that all regions of an object have in common
 TAIL = 3.0                                  # degrees of freedom of Student's t: black paint and dyes are far out
 TAU_PRIOR = (np.log(0.3), 0.7)
+MU_MAX = 0.98                               # of a mean colour
 SCALE_PRIOR = 1.5                           # deviation of the log light scale about the level that fits a grey object
 
 
@@ -42,7 +43,7 @@ def log_own_prior(theta: Theta) -> np.ndarray:
     """Of every region's spread of colour and metallic (R,), up to a constant; -inf where a value is impossible."""
     out = -0.5 * ((np.log(theta.tau) - TAU_PRIOR[0]) / TAU_PRIOR[1]) ** 2
     out = out + METALLIC_PRIOR[np.abs(theta.m[:, None] - METALLIC).argmin(1)]
-    return np.where((theta.mu > 0.98).any(1) | (theta.tau > 3), -np.inf, out)
+    return np.where((theta.mu >= MU_MAX).any(1) | (theta.tau > 3), -np.inf, out)
 
 
 def log_prior(theta: Theta) -> float:

@@ -22,7 +22,7 @@ from scipy.linalg.blas import ssyrk
 
 NEWTON_STEPS = 12       # at most; fewer when a step gains less than NEWTON_GAIN: slice sampling is exact about any reference
 NEWTON_GAIN = 5.0
-DAMPING, DAMPING_LIMIT = 6.0, 1e4       # factor between attempts at a step; where they end
+DAMPING, DAMPING_LIMIT = 6.0, 1e10      # factor between attempts at a step; where they end
 SLICES = 6
 
 
@@ -175,9 +175,13 @@ def elliptical_slice(z: torch.Tensor, target, reference: Laplace, slices: int, r
 
 
 def draw_light(likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, slices: int, rng, noise) -> torch.Tensor:
-    """z | x: codes (3, M)."""
+    """z | x: codes (3, M). A z that no draw would reach, further below the peak than twice its usual drop of numel / 2, is left for
+    the peak: the target has just changed (annealing), and slices about the peak hardly ever find back from so far out.
+    """
     reference = Laplace(likelihood, x, z, rho)
     target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
+    if target(z) < target(reference.mode) - z.numel():
+        z = reference.mode
     return elliptical_slice(z, target, reference, slices, rng, noise)
 
 
