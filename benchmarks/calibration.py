@@ -119,10 +119,11 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=7)
     parser.add_argument("--levels", type=int, default=30)
     parser.add_argument("--prior", default="prior_small")
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     jobs = [(k, args.draws, args.levels, args.prior) for k in range(args.simulations)]
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
+    with ProcessPoolExecutor(args.workers) as pool:
         ranks = np.array(list(progress(pool.map(simulate, jobs), "simulations", len(jobs))))
     result = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "simulations": len(ranks), "draws": args.draws,
               "levels": args.levels} | summary(ranks, args.draws)

@@ -8,7 +8,8 @@ sample stage; every draw is refined with refine.steps = 0 (base colour only), so
 metallic are judged. Per method: seconds per draw; light PSNR of the draws and of their mean (log radiance, one common
 scale removed; a draw's error is up to 3 dB above the mean's, where the spread is right); PSNR of held-out views inside the
 mask; base colour error (RMS over held-out views, raw and after one factor per channel); PSNR of held-out views under another
-light; and, for 3 draws or more, how often the draws' intervals hold the truth (`unknowns`).
+light; and, for 3 draws or more, how often the draws' intervals hold the truth (`unknowns`). A folder without truth/ has seconds and
+held-out views only. Set OMP_NUM_THREADS=1 as the workflow does.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import argparse
 import json
 import os
 import platform
+import resource
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -43,38 +45,62 @@ from pipeline.stage import overrides
 RELIT = 200             # pixels per held-out view
 
 
-def seen_colours(x: Explanation, problem, mesh: Path, truth: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Base colours (n, 3) of `x` and of truth/albedo/<view>.exr, at every second pixel of the held-out views."""
-    tracer, ours, theirs = Tracer(mesh), [], []
-    for view in problem.observations.held_out:
-        picture = read_exr(truth / "albedo" / f"{view.name}.exr")
-        rows, columns = np.mgrid[0:view.height:2, 0:view.width:2].reshape(2, -1)
-        uv, _, hit = tracer.hit(*view.rays(np.stack([columns + 0.5, rows + 0.5], -1)))
-        k = (picture.shape[0] / view.height, picture.shape[1] / view.width)
-        value = picture[(rows * k[0]).astype(int), (columns * k[1]).astype(int)]
-        hit &= value.max(-1) > 0
-        ours.append(gather(x.base_color, uv[hit]))
-        theirs.append(value[hit])
-    return np.concatenate(ours), np.concatenate(theirs)
-
-
 def aligned_rms(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
     """RMS of a - b (n, 3): raw, and after a least-squares factor per channel."""
     rms = lambda e: float(np.sqrt((e**2).mean()))
     return rms(a - b), rms(a * ((a * b).sum(0) / np.maximum((a * a).sum(0), 1e-12)) - b)
 
 
-def relit(x: Explanation, problem, truth: Path, spp: int = 64) -> tuple[np.ndarray, np.ndarray]:
-    """Radiance (n, 3) of random pixels of the held-out views under another known light: of `x` and of the truth."""
-    light, ours, theirs = next(f for f in sorted((truth / "relight").glob("*.exr")) if f.with_suffix("").is_dir()), [], []
-    problem.renderer.set(replace(x, light=resample_area(read_exr(light), *problem.renderer.light_shape[:2]).astype(np.float32)))
-    for view in problem.observations.held_out:
-        picture = read_exr(light.with_suffix("") / f"{view.name}.exr")
-        inside = cv2.erode((picture.sum(-1) > 0).astype(np.uint8), np.ones((5, 5)))
-        rows, columns = np.random.default_rng(0).permutation(np.argwhere(inside))[:RELIT].T
-        ours.append(problem.renderer.mean_radiance(view_rays(view, np.stack([columns, rows], -1)), spp, 0))
-        theirs.append(picture[rows, columns])
-    return np.concatenate(ours), np.concatenate(theirs)
+class Truth:
+    """What is known of a rendered scene, at fixed pixels of its held-out views: base colour, another light's picture, the light."""
+
+    def __init__(self, folder: Path, problem, mesh: Path, light_rows: int):
+        self.light = resample_area(read_exr(folder / "envmap.exr"), light_rows, 2 * light_rows)
+        self.uv, self.colours = self._colours(folder, problem.observations.held_out, Tracer(mesh))
+        other = next(f for f in sorted((folder / "relight").glob("*.exr")) if f.with_suffix("").is_dir())
+        self.other_light, self.pixels, self.relit = read_exr(other), [], []
+        for view in problem.observations.held_out:
+            picture = read_exr(other.with_suffix("") / f"{view.name}.exr")
+            inside = cv2.erode((picture.sum(-1) > 0).astype(np.uint8), np.ones((5, 5)))
+            rows, columns = np.random.default_rng(0).permutation(np.argwhere(inside))[:RELIT].T
+            self.pixels.append((view, np.stack([columns, rows], -1)))
+            self.relit.append(picture[rows, columns])
+        self.relit, self.region = np.concatenate(self.relit), group(self.colours)[0]
+
+    @staticmethod
+    def _colours(folder: Path, views, tracer: Tracer) -> tuple[np.ndarray, np.ndarray]:
+        """Texture coordinates (n, 2) and true base colours (n, 3) at every second pixel."""
+        where, values = [], []
+        for view in views:
+            picture = read_exr(folder / "albedo" / f"{view.name}.exr")
+            rows, columns = np.mgrid[0:view.height:2, 0:view.width:2].reshape(2, -1)
+            uv, _, hit = tracer.hit(*view.rays(np.stack([columns + 0.5, rows + 0.5], -1)))
+            value = picture[tuple((v * n / m).astype(int) for v, n, m in ((rows, len(picture), view.height), (columns, picture.shape[1], view.width)))]
+            hit &= value.max(-1) > 0
+            where.append(uv[hit])
+            values.append(value[hit])
+        return np.concatenate(where), np.concatenate(values)
+
+    def relit_by(self, x: Explanation, renderer, spp: int = 64) -> np.ndarray:
+        """Radiance (n, 3) of the same pixels under the other light, of `x`."""
+        renderer.set(replace(x, light=resample_area(self.other_light, *renderer.light_shape[:2]).astype(np.float32)))
+        return np.concatenate([renderer.mean_radiance(view_rays(view, at), spp, 0) for view, at in self.pixels])
+
+    def unknowns(self, light: np.ndarray, colours: np.ndarray, relit_pixels: np.ndarray) -> dict:
+        """What intervals are drawn about: SH coefficients of the light (order 2) raw and over its mean, mean base colour of
+        the regions of like true colour raw and over the mean of all, relit pixels.
+        """
+        sh = sh_coefficients(light).reshape(-1, 3)
+        means = np.stack([colours[self.region == r].mean(0) for r in range(self.region.max() + 1)])
+        return {"sh": sh.ravel(), "sh_relative": (sh[1:] / sh[0].mean()).ravel(), "base_colour": means.ravel(),
+                "base_colour_relative": (means / colours.mean()).ravel(), "relit": relit_pixels.ravel()}
+
+    def scores(self, x: Explanation, renderer) -> tuple[dict, dict]:
+        """Errors of `x`, and its own values of the unknowns."""
+        colours, pixels = gather(x.base_color, self.uv), self.relit_by(x, renderer)
+        raw, aligned = aligned_rms(colours, self.colours)
+        return {"light_psnr": light_psnr(x.light, self.light), "base_colour_rms": raw, "base_colour_rms_aligned": aligned,
+                "relit_psnr": psnr(pixels, self.relit)}, self.unknowns(x.light, colours, pixels)
 
 
 def coverage(draws: np.ndarray, truth: np.ndarray) -> dict:
@@ -98,41 +124,33 @@ def coverage(draws: np.ndarray, truth: np.ndarray) -> dict:
 def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict:
     """One method on one scene."""
     prior, rows, drawn_lights, quantities = load_prior(scene.sample.prior), [], [], []
-    truth = resample_area(read_exr(folder / "truth" / "envmap.exr"), prior.height, prior.width)
-    stages = (folders["observe"], folders["poses"], folders["atlas"])
+    load = lambda texture: load_problem(folders["observe"], folders["poses"], folders["atlas"], scene, texture, prior.height)
     settings = scene.refine.model_copy(update={"steps": 0})
+    full, small = load(settings.texture), load(min(COARSE, settings.texture))
+    truth = Truth(folder / "truth", full, folders["atlas"] / "mesh_uv.ply", prior.height) if (folder / "truth").is_dir() else None
     for seed in range(samples):
-        problem = load_problem(*stages, scene, scene.sample.texture, prior.height)
+        problem = load(scene.sample.texture)
         set_threads(1)
         began = time.perf_counter()
         drawn, facts = SAMPLERS[method](problem, prior, Explanation.load(folders["fit"]), scene.sample, seed)
-        seconds = time.perf_counter() - began
+        row = {"seconds": time.perf_counter() - began}
         set_threads(2)
-        full = load_problem(*stages, scene, settings.texture, prior.height)
-        small = load_problem(*stages, scene, min(COARSE, settings.texture), prior.height)
         final, _ = refine(full, small, drawn, settings, seed, rescale=not facts.get("scale_drawn", False))
-        held_out = score_held_out(full, final, folders["poses"], folders["mesh"], scene.observe.erode, 64)["held_out_psnr"]
-        colours, others = seen_colours(final, full, folders["atlas"] / "mesh_uv.ply", folder / "truth"), relit(final, full, folder / "truth")
-        quantities.append(unknowns(final.light, colours[0], others[0], group(colours[1])[0]))
-        drawn_lights.append(np.log(np.maximum(final.light, 1e-6)))
-        rows.append([seconds, light_psnr(final.light, truth), held_out, *aligned_rms(*colours), psnr(*others)])
-    true = unknowns(truth, colours[1], others[1], group(colours[1])[0])
-    names = ("seconds", "light_psnr", "held_out_psnr", "base_colour_rms", "base_colour_rms_aligned", "relit_psnr")
-    out = {"method": method, "samples": samples} | dict(zip(names, np.mean(rows, 0).round(4).tolist()))
-    out["light_psnr_of_mean"] = light_psnr(np.exp(np.mean(drawn_lights, 0)), truth)
-    if samples > 2:
+        row["held_out_psnr"] = score_held_out(full, final, folders["poses"], folders["mesh"], scene.observe.erode, 64)["held_out_psnr"]
+        if truth:
+            scores, values = truth.scores(final, full.renderer)
+            row |= scores
+            quantities.append(values)
+            drawn_lights.append(np.log(np.maximum(final.light, 1e-6)))
+        rows.append(row)
+    out = {"method": method, "samples": samples} | {k: round(float(np.mean([r[k] for r in rows])), 4) for k in rows[0]}
+    out["peak_gib"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2)
+    if truth:
+        out["light_psnr_of_mean"] = light_psnr(np.exp(np.mean(drawn_lights, 0)), truth.light)
+    if truth and samples > 2:
+        true = truth.unknowns(truth.light, truth.colours, truth.relit)
         out["coverage"] = {k: coverage(np.array([q[k] for q in quantities]), true[k]) for k in true}
     return out
-
-
-def unknowns(light: np.ndarray, colours: np.ndarray, relit_pixels: np.ndarray, region: np.ndarray) -> dict:
-    """What intervals are drawn about: SH coefficients of the light (order 2) raw and over its mean, mean base colour of
-    the regions of like true colour raw and over the mean of all, relit pixels.
-    """
-    sh = sh_coefficients(light).reshape(-1, 3)
-    means = np.stack([colours[region == r].mean(0) for r in range(region.max() + 1)])
-    return {"sh": sh.ravel(), "sh_relative": (sh[1:] / sh[0].mean()).ravel(), "base_colour": means.ravel(),
-            "base_colour_relative": (means / colours.mean()).ravel(), "relit": relit_pixels.ravel()}
 
 
 def main() -> None:
