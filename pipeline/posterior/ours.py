@@ -29,7 +29,7 @@ from .turns import LAST, Turns
 
 GAUSSIAN_TURNS = 3          # every row counted in full: what they leave over shows the noise's correlation
 WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
-BLOCKS = 12                 # pieces of surface that err together
+BLOCKS, SHAPE = 12, 2.0     # pieces of surface that err together; of their gamma weights: half the variance of a full bootstrap, the draws' own adds to it
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
 
 
@@ -46,9 +46,9 @@ def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts
 
 
 def block_shares(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """How much each point (p, 3) counts in this draw, mean 1: the same within a block of surface, exponential between blocks."""
+    """How much each point (p, 3) counts in this draw, mean 1: the same within a block of surface, gamma between blocks."""
     blocks = cKDTree(position[rng.choice(len(position), min(BLOCKS, len(position)), replace=False)]).query(position)[1]
-    share = rng.exponential(size=blocks.max() + 1)[blocks]
+    share = rng.gamma(SHAPE, size=blocks.max() + 1)[blocks]
     return share / share.mean()
 
 

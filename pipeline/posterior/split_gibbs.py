@@ -89,17 +89,17 @@ class Curvature:
 
 
 class Laplace:
-    """Gaussian N(mode, A^-1) near the peak of likelihood x N(z; x, rho^2), channels independent."""
+    """Gaussian N(mode, A^-1) near the peak of likelihood x N(z; x, rho^2) x exp(push z), channels independent; z is where to begin."""
 
-    def __init__(self, likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float):
+    def __init__(self, likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, push: torch.Tensor | float = 0.0):
         self.mode, self.rho, self.damping = z.clone(), rho, 0.0
-        target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
+        target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2 + float((push * t).sum())
         now = target(self.mode)
         for _ in range(NEWTON_STEPS):
             self.J, r, self.fold = likelihood.expansion(self.mode)
             self.damping = self.damping / DAMPING if self.damping > 1 else 0.0
             self.curvature = [Curvature(J, self.width) for J in self.J]
-            slope = self.fold.up(torch.einsum("cnk,cn->ck", self.J, r)) - (self.mode - x) / rho**2
+            slope = self.fold.up(torch.einsum("cnk,cn->ck", self.J, r)) - (self.mode - x) / rho**2 + push
             gain, now = self.climb(target, now, slope)
             if gain < NEWTON_GAIN:
                 break
@@ -142,6 +142,13 @@ class Laplace:
         inner = torch.stack([A.draw(noise) for A in self.curvature])
         return self.rho * self.beside(torch.randn(self.mode.shape, generator=noise)) + self.fold.up(inner)
 
+    def push(self, noise: torch.Generator) -> torch.Tensor:
+        """A draw of N(0, A), (3, M): as `push` of another Laplace it moves the mode by a draw of N(0, A^-1), and further than that
+        where the target is not the Gaussian it looks like from here.
+        """
+        a, b = torch.randn(self.mode.shape, generator=noise), torch.randn(self.J.shape[:2], generator=noise)
+        return a / self.rho + self.fold.up(torch.einsum("cnk,cn->ck", self.J, b))
+
     def image(self, offset: torch.Tensor) -> torch.Tensor:
         """J E offset (3, n)."""
         return torch.stack([J @ d for J, d in zip(self.J, self.fold.down(offset))])
@@ -174,14 +181,18 @@ def elliptical_slice(z: torch.Tensor, target, reference: Laplace, slices: int, r
     return reference.mode + offset
 
 
-def draw_light(likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, slices: int, rng, noise) -> torch.Tensor:
-    """z | x: codes (3, M). A z that no draw would reach, further below the peak than twice its usual drop of numel / 2, is left for
-    the peak: the target has just changed (annealing), and slices about the peak hardly ever find back from so far out.
+def draw_light(likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, slices: int, rng, noise,
+               afresh: bool = False) -> torch.Tensor:
+    """z | x: codes (3, M), by slices from z, or `afresh` by randomised maximum likelihood (Oliver et al. 1996; Bardsley et al. 2014: perturb
+    data and prior mean, then optimise), exact where log-likelihood is quadratic, and slices from there.
+
+    Slices about the peak turn by small angles only where that Gaussian is a poor one: alone they do not get round in a few turns. A z that no
+    draw would reach, further below the peak than twice its usual drop of numel / 2, is left for a fresh one: the target has changed (annealing).
     """
     reference = Laplace(likelihood, x, z, rho)
     target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
-    if target(z) < target(reference.mode) - z.numel():
-        z = reference.mode
+    if afresh or target(z) < target(reference.mode) - z.numel():
+        z = Laplace(likelihood, x, reference.mode, rho, reference.push(noise)).mode
     return elliptical_slice(z, target, reference, slices, rng, noise)
 
 
