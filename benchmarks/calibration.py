@@ -50,10 +50,13 @@ class Observed:
     def value(self, z: torch.Tensor) -> float:
         return -0.5 * float((((self.y - self.light(z) @ self.A.T) / self.deviation) ** 2).sum())
 
+    def residual(self, z: torch.Tensor) -> torch.Tensor:
+        return (self.y - self.light(z) @ self.A.T) / self.deviation
+
     def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Whole]:
         L = self.light(z)
         J = self.A[None] * (self.prior.log_spread * L)[:, None, :] / self.deviation[:, :, None]
-        return J, (self.y - L @ self.A.T) / self.deviation, Whole()
+        return J, self.residual(z), Whole()
 
 
 def lobes(prior, rng) -> torch.Tensor:

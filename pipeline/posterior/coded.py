@@ -66,6 +66,13 @@ class Coded:
         self.photos.set(theta)
         return self.photos.value(self.light(self.code(z))) + prior + 0.5 * float(z[:, self.size:].square().sum()) / self.width**2
 
+    def residual(self, z: torch.Tensor) -> torch.Tensor:
+        """Of `expansion`, (3, n)."""
+        theta = self.photos.theta.copy()
+        theta.mu = self.colours(z)
+        self.photos.set(theta)
+        return self.photos.residual(self.light(self.code(z)))
+
     def linear(self, z: torch.Tensor):
         """Slope g (3, M), T (3, n, M'), residual (3, n), V (3, n, R) at z."""
         theta = self.photos.theta.copy()
@@ -162,3 +169,6 @@ class ModeCode(Coded):
         J = torch.einsum("cnm,ckm->cnk", T, self.modes.moved(g)) * self.keep
         colours = torch.block_diag(*V)
         return torch.cat([J.reshape(-1, self.size), colours], 1)[None], residual.reshape(1, -1), Whole()
+
+    def residual(self, z: torch.Tensor) -> torch.Tensor:
+        return super().residual(z).reshape(1, -1)

@@ -159,6 +159,27 @@ class Photos:
     def value(self, light: np.ndarray) -> float:
         return float(self.point_values(*self.predict(light), self.theta).sum())
 
+    def whitener(self, U: np.ndarray, c: int):
+        """What makes channel c's rows (n, k) independent with deviation 1, where U (n, 3) is `predict`'s."""
+        v = (self.theta.tau[self.region] * self.theta.mu[self.region, c]) ** 2
+        scale = np.sqrt(self.precision[:, c] * (self.share / self.kappa)[self.rows.point])
+        u = scale * U[:, c]
+        norm = np.maximum(np.add.reduceat(u * u, self.starts), 1e-30)
+        shrink = 1 - 1 / np.sqrt(1 + v * norm)                                 # (I - shrink uu') D^-1/2 whitens D + v UU'
+        column = lambda x: torch.from_numpy(x.astype(np.float32))[:, None]
+        unit, factor, scale, point = column(u / np.sqrt(norm)[self.rows.point]), column(shrink), column(scale), torch.from_numpy(self.rows.point)
+
+        def whiten(x: torch.Tensor) -> torch.Tensor:
+            x = x * scale
+            return x - unit * (factor * torch.zeros(len(norm), x.shape[1]).index_add_(0, point, unit * x))[point]
+        return whiten
+
+    def residual(self, light: np.ndarray) -> torch.Tensor:
+        """y - T L of `whitened` (3, n), without building T."""
+        U, W = self.predict(light)
+        rest = torch.from_numpy((self.y - self.theta.mu[self.row_region] * U - W).astype(np.float32))
+        return torch.stack([self.whitener(U, c)(rest[:, c:c + 1])[:, 0] for c in range(3)])
+
     def whitened(self, light: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """T (3, n, M), y (3, n), V (3, n, R): log-likelihood ~ -|y - T L - V d|^2 / 2 for lights L near `light` and
         regions whose log mean colour moves by d; T is the direct part of the transport.
@@ -166,22 +187,14 @@ class Photos:
         theta, (off_U, off_W) = self.theta, self.off_object(light)
         mu, U = theta.mu[self.row_region], self.U.numpy() @ light.astype(np.float32) + off_U
         direct = self.y - mu * off_U - off_W
-        v = (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
-        root, T, y = np.sqrt(self.precision * (self.share / self.kappa)[self.rows.point, None]), torch.empty((3,) + self.U.shape), torch.empty(3, len(mu))
-        segment, V = torch.from_numpy(self.rows.point), torch.zeros(3, len(mu), len(theta.m))
-        owner = np.arange(len(mu)), self.row_region
+        column = lambda x: torch.from_numpy(x.astype(np.float32))[:, None]
+        T, y, V = torch.empty((3,) + self.U.shape), torch.empty(3, len(mu)), torch.zeros(3, len(mu), len(theta.m))
         for c in range(3):
-            u = root[:, c] * U[:, c]
-            norm = np.maximum(np.add.reduceat(u * u, self.starts), 1e-30)
-            shrink = 1 - 1 / np.sqrt(1 + v[:, c] * norm)                       # (I - shrink uu') D^-1/2 whitens D + v UU'
-            unit = torch.from_numpy((u / np.sqrt(norm)[self.rows.point]).astype(np.float32))[:, None]
-            factor, scale = (torch.from_numpy(x.astype(np.float32))[:, None] for x in (shrink, root[:, c]))
-            project = lambda x: unit * (factor * torch.zeros(len(norm), x.shape[1]).index_add_(0, segment, unit * x))[segment]
-            t = (torch.from_numpy(mu[:, c:c + 1].astype(np.float32)) * self.U + self.W) * scale
-            rest = torch.from_numpy(direct[:, c:c + 1].astype(np.float32)) * scale
-            T[c], y[c] = t - project(t), (rest - project(rest))[:, 0]
-            V[c][owner] = torch.from_numpy((mu[:, c] * u).astype(np.float32))
-            V[c] -= project(V[c])
+            whiten = self.whitener(U, c)
+            T[c] = whiten(column(mu[:, c]) * self.U + self.W)
+            y[c] = whiten(column(direct[:, c]))[:, 0]
+            V[c][np.arange(len(mu)), self.row_region] = torch.from_numpy((mu[:, c] * U[:, c]).astype(np.float32))
+            V[c] = whiten(V[c])
         return T, y, V
 
     def draw_colour(self, U, W, theta: Theta, rng) -> np.ndarray:

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from scipy.linalg.blas import ssyrk
 
-NEWTON_STEPS = 12       # at most; fewer when a step gains less than NEWTON_GAIN: slice sampling is exact about any reference
+NEWTON_STEPS = 12       # at most; fewer when a step gains less than one in a hundred unknowns, or than NEWTON_GAIN
 NEWTON_GAIN = 5.0
 DAMPING, DAMPING_LIMIT = 6.0, 1e10      # factor between attempts at a step; where they end
 SLICES = 6
@@ -30,6 +30,9 @@ class LightLikelihood(Protocol):
     """Log-likelihood of a light code z (3, M)."""
 
     def value(self, z: torch.Tensor) -> float: ...
+
+    def residual(self, z: torch.Tensor) -> torch.Tensor:
+        """r (3, n) of `expansion` alone."""
 
     def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, object]:
         """J (3, n, k), r (3, n) and a fold E (pooling.py): log-likelihood of z + d ~ -|r - J E d|^2 / 2, channel by channel."""
@@ -89,19 +92,24 @@ class Curvature:
 
 
 class Laplace:
-    """Gaussian N(mode, A^-1) near the peak of likelihood x N(z; x, rho^2) x exp(push z), channels independent; z is where to begin."""
+    """Gaussian N(mode, A^-1) near the peak of likelihood x N(z; x, rho^2), channels independent; z is where to begin.
 
-    def __init__(self, likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, push: torch.Tensor | float = 0.0):
+    `noise` (3, n): whitened data are moved by it.
+    """
+
+    def __init__(self, likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, noise: torch.Tensor | None = None):
         self.mode, self.rho, self.damping = z.clone(), rho, 0.0
-        target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2 + float((push * t).sum())
+        moved = lambda t: 0.0 if noise is None else float((noise * likelihood.residual(t)).sum())
+        target = lambda t: likelihood.value(t) - moved(t) - 0.5 * float((t - x).square().sum()) / rho**2
         now = target(self.mode)
         for _ in range(NEWTON_STEPS):
             self.J, r, self.fold = likelihood.expansion(self.mode)
             self.damping = self.damping / DAMPING if self.damping > 1 else 0.0
             self.curvature = [Curvature(J, self.width) for J in self.J]
-            slope = self.fold.up(torch.einsum("cnk,cn->ck", self.J, r)) - (self.mode - x) / rho**2 + push
+            r = r if noise is None else r + noise
+            slope = self.fold.up(torch.einsum("cnk,cn->ck", self.J, r)) - (self.mode - x) / rho**2
             gain, now = self.climb(target, now, slope)
-            if gain < NEWTON_GAIN:
+            if gain == 0 or (gain < min(NEWTON_GAIN, 0.01 * z.numel()) and self.damping <= 1):
                 break
         self.damp(0.0)
 
@@ -141,13 +149,6 @@ class Laplace:
         """A draw of N(0, A^-1), (3, M)."""
         inner = torch.stack([A.draw(noise) for A in self.curvature])
         return self.rho * self.beside(torch.randn(self.mode.shape, generator=noise)) + self.fold.up(inner)
-
-    def push(self, noise: torch.Generator) -> torch.Tensor:
-        """A draw of N(0, A), (3, M): as `push` of another Laplace it moves the mode by a draw of N(0, A^-1), and further than that
-        where the target is not the Gaussian it looks like from here.
-        """
-        a, b = torch.randn(self.mode.shape, generator=noise), torch.randn(self.J.shape[:2], generator=noise)
-        return a / self.rho + self.fold.up(torch.einsum("cnk,cn->ck", self.J, b))
 
     def image(self, offset: torch.Tensor) -> torch.Tensor:
         """J E offset (3, n)."""
@@ -192,7 +193,8 @@ def draw_light(likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rh
     reference = Laplace(likelihood, x, z, rho)
     target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
     if afresh or target(z) < target(reference.mode) - z.numel():
-        z = Laplace(likelihood, x, reference.mode, rho, reference.push(noise)).mode
+        fresh = lambda shape: torch.randn(shape, generator=noise)
+        z = Laplace(likelihood, x + rho * fresh(x.shape), reference.mode, rho, fresh(reference.J.shape[:2])).mode
     return elliptical_slice(z, target, reference, slices, rng, noise)
 
 
