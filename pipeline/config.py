@@ -98,7 +98,7 @@ class Sample(Section):
     prior: str = Field("prior_base", description="a file stem under weights/, or a path to .safetensors")
     label: str | None = Field(None, description="class the prior is conditioned on; none: unconditional")
     smooth: int = Field(5, ge=0, le=1000, description="split_gibbs: turns of decoupled annealing before the splitting")
-    levels: int = Field(6, ge=2, le=1000, description="split_gibbs: widths of the splitting from coarse to fine")
+    levels: int = Field(3, ge=2, le=1000, description="split_gibbs: widths of the splitting from coarse to fine")
     stay: int = Field(1, ge=0, le=10000, description="split_gibbs: turns at the finest width")
     points: int = Field(250, ge=20, le=20000, description="split_gibbs: surface points")
     views: int = Field(6, ge=1, le=100, description="split_gibbs: photos per point")

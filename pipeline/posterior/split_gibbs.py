@@ -20,8 +20,8 @@ import numpy as np
 import torch
 from scipy.linalg.blas import ssyrk
 
-NEWTON_STEPS = 12       # at most; fewer when a step gains less than one in a hundred unknowns, or than NEWTON_GAIN
-NEWTON_GAIN = 5.0
+NEWTON_STEPS = 12       # at most; fewer when a step gains less than NEWTON_GAIN per unknown: draws vary by 1/2 per unknown
+NEWTON_GAIN = 0.01
 DAMPING, DAMPING_LIMIT = 6.0, 1e10      # factor between attempts at a step; where they end
 SLICES = 6
 
@@ -109,7 +109,7 @@ class Laplace:
             r = r if noise is None else r + noise
             slope = self.fold.up(torch.einsum("cnk,cn->ck", self.J, r)) - (self.mode - x) / rho**2
             gain, now = self.climb(target, now, slope)
-            if gain == 0 or (gain < min(NEWTON_GAIN, 0.01 * z.numel()) and self.damping <= 1):
+            if gain == 0 or (gain < NEWTON_GAIN * z.numel() and self.damping <= 1):
                 break
         self.damp(0.0)
 

@@ -80,7 +80,7 @@ class Turns:
         x = code
         for rho in map(float, rhos):
             coded.width, coded.gain = rho, noise_gain(prior.log_spread, rho)
-            z = self.light_turn(coded, x, z)
+            z = self.light_turn(coded, x, z, True)
             gap = (z - x).mean(1).numpy()
             cost = lambda d: float(-0.5 * z.shape[1] * ((gap + d / prior.log_spread) ** 2 - gap**2).sum() / rho**2)
             z = self.after_light(coded, z, cost)
