@@ -8,8 +8,8 @@ sample stage; every draw is refined with refine.steps = 0 (base colour only), so
 metallic are judged. Per method: seconds per draw; light PSNR of the draws and of their mean (log radiance, one common
 scale removed; a draw's error is up to 3 dB above the mean's, where the spread is right); PSNR of held-out views inside the
 mask; base colour error (RMS over held-out views, raw and after one factor per channel); PSNR of held-out views under another
-light; and, for 3 draws or more, how often the draws' intervals hold the truth (`unknowns`). A folder without truth/ has seconds and
-held-out views only. Set OMP_NUM_THREADS=1 as the workflow does.
+light; and, for 3 draws or more, how often the draws' intervals hold the truth (`unknowns`). A folder whose cameras are not given, or without
+truth/, has seconds and held-out views only. Set OMP_NUM_THREADS=1 as the workflow does.
 """
 
 from __future__ import annotations
@@ -127,7 +127,8 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
     load = lambda texture: load_problem(folders["observe"], folders["poses"], folders["atlas"], scene, texture, prior.height)
     settings = scene.refine.model_copy(update={"steps": 0})
     full, small = load(settings.texture), load(min(COARSE, settings.texture))
-    truth = Truth(folder / "truth", full, folders["atlas"] / "mesh_uv.ply", prior.height) if (folder / "truth").is_dir() else None
+    known = (folder / "transforms.json").exists() and (folder / "truth").is_dir()          # truth has the frame of the given cameras
+    truth = Truth(folder / "truth", full, folders["atlas"] / "mesh_uv.ply", prior.height) if known else None
     for seed in range(samples):
         problem = load(scene.sample.texture)
         set_threads(1)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from pipeline.posterior.coded import ModeCode, Modes, PixelCode
-from pipeline.posterior.evidence import CANDIDATES, Search
+from pipeline.posterior.evidence import CANDIDATES, Search, pooled
 from pipeline.posterior.likelihood import Theta
 from pipeline.prior.code import Code
 from pipeline.prior.gaussian import GaussianPrior, translated
@@ -74,6 +74,19 @@ def test_translated_code_is_the_same_radiance():
     code = a.sample(1, torch.Generator().manual_seed(0))
     fine = b.decode(translated(code, a, b))[0]
     assert torch.allclose(fine[:, ::2, 1::2], a.decode(code)[0], rtol=1e-4)
+
+
+def test_pooled_operators_see_a_blocky_light_as_before():
+    """A light of 4 rows, every pixel as a block of 4 x 4, through an operator of 16 rows."""
+    noise = torch.Generator().manual_seed(0)
+    T, light = torch.randn(2, 5, 16 * 32, generator=noise), torch.randn(4 * 8, 3, generator=noise)
+    fine = light.reshape(4, 8, 3).repeat_interleave(4, 0).repeat_interleave(4, 1).reshape(-1, 3)
+    assert torch.allclose(pooled(T, 4) @ light, T @ fine, atol=1e-4)
+
+
+def test_residual_is_that_of_the_expansion(coded, photos):                    # noqa: F811
+    z = coded.join(0.3 * torch.randn(3 if isinstance(coded, PixelCode) else 1, coded.size, generator=torch.Generator().manual_seed(0)), photos.theta)
+    assert torch.allclose(coded.residual(z), coded.expansion(z)[1], atol=1e-3)
 
 
 def test_search_finds_the_material(photos):                                   # noqa: F811

@@ -5,6 +5,7 @@ import numpy as np
 
 from pipeline.posterior.likelihood import Theta
 from pipeline.posterior.ours import BLOCKS, block_shares
+from pipeline.posterior.regions import group, texel_regions
 from pipeline.posterior.region_moves import CHROMA, COMMON, DIELECTRIC, METAL, METALLIC, METALLIC_PRIOR, TAIL, draw_regions
 
 SILENT = SimpleNamespace(region=np.array([0, 1]), row_region=np.array([0, 1]), point_values=lambda U, W, t: np.zeros(2))
@@ -48,3 +49,16 @@ def test_block_shares_are_even_in_the_mean_and_uneven_between_blocks():
     shares = np.array([block_shares(position, rng) for _ in range(200)])
     assert np.allclose(shares.mean(1), 1) and all(len(np.unique(s)) == BLOCKS for s in shares)
     assert np.abs(shares.mean(0) - 1).max() < 0.5 and 0.5 < shares.std(1).mean() < 1.3
+
+
+def test_regions_follow_the_base_colour_and_not_its_shade():
+    """Three paints, each in light and shadow by a fifth, are three regions, on points and on texels."""
+    rng = np.random.default_rng(3)
+    paints = np.array([[0.6, 0.1, 0.1], [0.1, 0.5, 0.2], [0.4, 0.4, 0.5]])
+    which = rng.integers(3, size=400)
+    label, centers = group(paints[which] * rng.uniform(0.8, 1.2, (400, 1)))
+    assert label.max() == 2 and all(len(np.unique(label[which == k])) == 1 for k in range(3))
+    texture = np.repeat(np.repeat(paints[None, [0, 1, 2, 2]], 16, 1), 64, 0).astype(np.float32)
+    found = texel_regions(texture, centers, 32)
+    expected = [label[which == k][0] for k in (0, 1, 2)]
+    assert [np.median(found[:, a:b]) for a, b in ((0, 7), (9, 15), (17, 32))] == expected
