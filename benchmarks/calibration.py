@@ -96,7 +96,7 @@ def simulate(job: tuple) -> np.ndarray:
             z = x.reshape(3, -1)
             for rho in map(float, widths(levels, FIRST, LAST, 4)):
                 observed.gain = noise_gain(prior.log_spread, rho)
-                z = draw_light(observed, x.reshape(3, -1), z, rho, SLICES, rng, noise)
+                z = draw_light(observed, x.reshape(3, -1), z, rho, SLICES, rng, noise, afresh=True)
                 x = reverse_diffusion(prior, z.reshape(shape), rho, prior_steps(rho), None, rng, noise)
             table.append(statistics(prior, x, pixels))
         return (np.array(table) < statistics(prior, truth, pixels)).sum(0)
@@ -120,7 +120,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--simulations", type=int, default=200)
     parser.add_argument("--draws", type=int, default=7)
-    parser.add_argument("--levels", type=int, default=30)
+    parser.add_argument("--levels", type=int, default=16)
     parser.add_argument("--prior", default="prior_small")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=Path)
