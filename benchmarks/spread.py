@@ -181,7 +181,7 @@ def chart(lines: list[dict], top: float, path: Path) -> None:
             cv2.line(image, (x, y - bar), (x, y + bar), (180, 90, 20), 1)
             write(f"{line[key]:g}" if line["kind"] == kind else "L", (x - 8, 372))
         cv2.rectangle(image, (left, 50), (left + 340, 350), (120, 120, 120), 1)
-        write(f"spread of log luminance against {title}; top: prior alone, {top:.2f}", (left - 40, 30))
+        write(f"spread against {title}; top: prior alone, {top:.2f}", (left, 30))
     write_png(path, image)
 
 
