@@ -48,7 +48,7 @@ class Observed:
         return self.prior.decode(z.reshape(1, 3, self.prior.height, self.prior.width)).reshape(3, -1) / self.gain
 
     def value(self, z: torch.Tensor) -> float:
-        return -0.5 * float((((self.y - self.light(z) @ self.A.T) / self.deviation) ** 2).sum())
+        return -0.5 * float((self.residual(z) ** 2).sum())
 
     def residual(self, z: torch.Tensor) -> torch.Tensor:
         return (self.y - self.light(z) @ self.A.T) / self.deviation

@@ -31,16 +31,20 @@ def umeyama(a: np.ndarray, b: np.ndarray) -> tuple[float, np.ndarray, np.ndarray
     return scale, rotation, mb - scale * rotation @ ma
 
 
+def even(count: int) -> np.ndarray:
+    """`count` directions (count, 3) spread over the sphere (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    z, angle = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    return np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
+
+
 def outer(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     """Points not buried inside another part: some direction of 64 leaves the mesh unhindered."""
     from pipeline.surface.preview import caster
     scene, o3d = caster(mesh)
-    k = np.arange(64) + 0.5
-    z, angle = 1 - 2 * k / 64, np.pi * (1 + 5**0.5) * k
-    directions = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
     free = np.zeros(len(points), bool)
     size = np.linalg.norm(np.ptp(mesh.vertices, axis=0))
-    for d in directions:
+    for d in even(64):
         rays = np.concatenate([points + 1e-3 * size * d, np.broadcast_to(d, points.shape)], 1).astype(np.float32)
         free |= ~np.isfinite(scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy())
     return free

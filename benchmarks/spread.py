@@ -26,15 +26,16 @@ import cv2
 import numpy as np
 import torch
 
+from benchmarks.geometry import even
 from pipeline.config import Sample
 from pipeline.envmap import directions, resample_area, solid_angles
 from pipeline.files import write_json
 from pipeline.images import luminance, write_png
 from pipeline.mesh_io import Mesh, save_mesh
+from pipeline.posterior.coded import PixelCode
 from pipeline.posterior.likelihood import LEVELS, Lobes, Photos, Theta
 from pipeline.posterior.problem import SHADE, generators
 from pipeline.posterior.turns import LAST, Turns
-from pipeline.posterior.coded import PixelCode
 from pipeline.prior import load_prior
 from pipeline.prior.sampling import draw
 from pipeline.progress import progress
@@ -42,24 +43,17 @@ from pipeline.runtime import set_threads
 from pipeline.transport import STEEP, Rows, Transport
 
 POINTS, ERROR, COLOUR, VIEWED = 150, 0.03, 0.8, 0.35
+Y_UP = [1, 2, 0]        # the lattice begins at the last axis
 VIEWS = (1, 2, 4, 8, 16, 32)
 BLOCKS = 8              # rows of the light over which luminance is averaged
 WEIGHT = solid_angles(BLOCKS, 2 * BLOCKS).reshape(-1)
-
-
-def even(count: int) -> np.ndarray:
-    """`count` directions (count, 3) spread over the sphere (Fibonacci lattice); y up."""
-    k = np.arange(count) + 0.5
-    y, a = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
-    r = np.sqrt(1 - y**2)
-    return np.stack([r * np.sin(a), y, r * np.cos(a)], -1)
 
 
 class Sphere:
     """Rays that see points of the unit sphere from `cameras` (v, 3), as the operator asks for them; `seen` limits the points."""
 
     def __init__(self, cameras: np.ndarray, seen=lambda p: np.ones(len(p), bool)):
-        points = even(POINTS)
+        points = even(POINTS)[:, Y_UP]
         points = points[seen(points)]
         d = points[:, None] - cameras
         d /= np.linalg.norm(d, axis=-1, keepdims=True)
@@ -111,8 +105,7 @@ def posterior(photos: Photos, prior, settings: Sample, draws: int) -> np.ndarray
         turns = Turns(photos, photos.theta.copy(), 0.0, prior, gaussian, settings, rng, noise)
         with torch.no_grad():
             code = turns.diffusion_turns(turns.handed_over(turns.turns_with_gaussian(2)), f"draw {seed}")
-            light = PixelCode(photos, prior, 0.0, LAST).radiance(code).T.reshape(prior.height, prior.width, 3).numpy()
-        out.append(blocks(light))
+            out.append(blocks(PixelCode(photos, prior, 0.0, LAST).map(code)))
     return np.array(out)
 
 
@@ -126,12 +119,12 @@ CASES = [("roughness", r, 1.0, 16) for r in LEVELS[::2] + LEVELS[-1:]] + [("roug
 
 
 def measure(job: tuple) -> dict:
-    """One case under one light: spread of the draws, share of true blocks within 2 deviations; for `masked` by seen and unseen."""
+    """One case under one light: spread of the draws and error of their mean; spread for `masked` where seen and unseen."""
     (kind, roughness, metallic, views), k, draws, name = job
     set_threads(1)
     settings, prior = Sample(prior=name), load_prior(name)
     light = prior.decode(draw(prior, k + 1, 30, 11)[k:])[0].numpy().transpose(1, 2, 0)
-    cameras = 5 * even(views) if kind != "masked" else 5 * np.array([[0.0, 0.0, 1.0]])
+    cameras = 5 * even(views)[:, Y_UP] if kind != "masked" else 5 * np.array([[0.0, 0.0, 1.0]])
     sphere = Sphere(cameras, facing) if kind == "masked" else Sphere(cameras)
     photos = photographed(sphere, roughness, metallic, light, settings.light, np.random.default_rng([k, 5]))
     drawn, true = posterior(photos, prior, settings, draws), blocks(light)

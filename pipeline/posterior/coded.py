@@ -1,8 +1,9 @@
 """The photos' likelihood as a function of a light code and the regions' mean colours (split_gibbs.LightLikelihood).
 
 Light and colours trade against each other and must move together, so that z holds both: the code's unknowns, then the mean
-colours as numbers q with mu = MU_MAX (1 - exp(-exp q)), which is log mu where mu is small and knows no edge where it is not, scaled
-so that z ~ N(., width^2) makes them N(COLOUR, COLOUR_SPREAD^2). The exact prior of the colours is part of `value`. PixelCode has a code per pixel; ModeCode the leading modes of the Gaussian prior around a given code.
+colours as numbers q with mu = ALBEDO_MAX (1 - exp(-exp q)), which is log mu where mu is small and knows no edge where it is not, scaled
+so that z ~ N(., width^2) makes them N(COLOUR, COLOUR_SPREAD^2). The exact prior of the colours is part of `value`. PixelCode has a
+code per pixel; ModeCode the leading modes of the Gaussian prior around a given code.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import torch
 from ..prior.gaussian import GaussianPrior
 from .likelihood import Photos, Theta
 from .pooling import Fold, Pool, Whole
-from .region_moves import MU_MAX, log_prior
+from .problem import ALBEDO_MAX
+from .region_moves import log_prior
 
 COMPONENTS = 400            # modes of the Gaussian prior: 95 % of its variance
 COLOUR, COLOUR_SPREAD = np.log(0.3), 0.8        # mean and deviation of log base colour in the reference Gaussian of the colours
@@ -21,7 +23,7 @@ COLOUR, COLOUR_SPREAD = np.log(0.3), 0.8        # mean and deviation of log base
 
 def steepness(mu: np.ndarray) -> np.ndarray:
     """d log mu / d q."""
-    rest = 1 - mu / MU_MAX
+    rest = 1 - mu / ALBEDO_MAX
     return -np.log(rest) * rest / (1 - rest)
 
 
@@ -37,6 +39,10 @@ class Coded:
         shape = (1, 3, self.prior.height, self.prior.width)
         return float(np.exp(self.log_scale)) / self.gain * self.prior.decode(code.reshape(shape)).reshape(3, -1)
 
+    def map(self, code: torch.Tensor) -> np.ndarray:
+        """`radiance` as a lat-long map (h, 2h, 3), float32."""
+        return np.ascontiguousarray(self.radiance(code).T.reshape(self.prior.height, self.prior.width, 3).numpy().astype(np.float32))
+
     def light(self, code: torch.Tensor) -> np.ndarray:
         """What the operator acts on, (M', 3)."""
         return self.pool.down(self.radiance(code)).T.numpy().astype(np.float64)
@@ -51,37 +57,38 @@ class Coded:
 
     def scaled(self, mu: np.ndarray) -> torch.Tensor:
         """Colours (R, 3) as numbers in z, (3, R)."""
-        q = torch.from_numpy(np.log(-np.log1p(-mu / MU_MAX)).T.astype(np.float32))
+        q = torch.from_numpy(np.log(-np.log1p(-mu / ALBEDO_MAX)).T.astype(np.float32))
         return (q - COLOUR) * (self.width / COLOUR_SPREAD)
 
     def unscaled(self, numbers: torch.Tensor) -> np.ndarray:
         """Inverse of `scaled`."""
         u = np.exp(numbers.T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + COLOUR)
-        return np.clip(-MU_MAX * np.expm1(-u), 1e-6, MU_MAX * (1 - 1e-6))
+        return np.clip(-ALBEDO_MAX * np.expm1(-u), 1e-6, ALBEDO_MAX * (1 - 1e-6))
 
-    def value(self, z: torch.Tensor) -> float:
+    def put(self, z: torch.Tensor) -> Theta:
+        """The photos get the colours of z."""
         theta = self.photos.theta.copy()
         theta.mu = self.colours(z)
-        prior = log_prior(theta) + float(np.log(steepness(theta.mu)).sum())
         self.photos.set(theta)
+        return theta
+
+    def value(self, z: torch.Tensor) -> float:
+        theta = self.put(z)
+        prior = log_prior(theta) + float(np.log(steepness(theta.mu)).sum())
         return self.photos.value(self.light(self.code(z))) + prior + 0.5 * float(z[:, self.size:].square().sum()) / self.width**2
 
     def residual(self, z: torch.Tensor) -> torch.Tensor:
         """Of `expansion`, (3, n)."""
-        theta = self.photos.theta.copy()
-        theta.mu = self.colours(z)
-        self.photos.set(theta)
+        self.put(z)
         return self.photos.residual(self.light(self.code(z)))
 
     def linear(self, z: torch.Tensor):
         """Slope g (3, M), T (3, n, M'), residual (3, n), V (3, n, R) at z."""
-        theta = self.photos.theta.copy()
-        theta.mu = self.colours(z)
-        self.photos.set(theta)
+        steep = torch.from_numpy(steepness(self.put(z).mu).T[:, None].astype(np.float32))
         L, g = self.slopes(self.code(z))
         L = self.pool.down(L)
         T, y, V = self.photos.whitened(L.T.numpy().astype(np.float64))
-        return g, T, y - torch.einsum("cnm,cm->cn", T, L), V * torch.from_numpy(steepness(theta.mu).T[:, None].astype(np.float32)) * (COLOUR_SPREAD / self.width)
+        return g, T, y - torch.einsum("cnm,cm->cn", T, L), V * steep * (COLOUR_SPREAD / self.width)
 
 
 class PixelCode(Coded):

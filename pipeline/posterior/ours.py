@@ -61,8 +61,8 @@ class Chain(Turns):
         rows = choose_rows(self.obs, scene, settings.points, settings.views, own)
         starts = rows.starts
         rgb, clipped = rows.patch @ self.obs.rgb, rows.patch @ self.obs.clipped > 0
-        region, self.centers = group(gather(fit.base_color, self.obs.uv[rows.observation[starts]]))
-        self.region_map = texel_regions(fit.base_color, self.centers, settings.texture)
+        region, centers = group(gather(fit.base_color, self.obs.uv[rows.observation[starts]]))
+        self.region_map = texel_regions(fit.base_color, centers, settings.texture)
         transport = Transport(scene, problem.renderer.mesh, self.obs, rows, settings.light, round(NODES * len(starts)), own)
         lobes = Lobes(transport, problem.roughness_min, own)
         photos = Photos(transport, lobes, rgb, clipped, region, problem.renderer.max_depth - 1)
@@ -136,23 +136,21 @@ class Chain(Turns):
         rows = self.photos.rows
         total = splat(self.obs.uv[rows.observation], np.concatenate([colour[rows.point], np.ones((len(rows.point), 1))], 1), size)
         known = total[..., 3] > 0.05
-        region = self.region_map
         base = fill(total[..., :3] / np.maximum(total[..., 3:], 1e-6), known)
         levels = np.array(self.photos.lobes.levels)
         return {"base_color": np.clip(cv2.GaussianBlur(base, (0, 0), 1.0), 0, 1).astype(np.float32),
-                "roughness": levels[self.theta.level][region].astype(np.float32), "metallic": self.theta.m[region].astype(np.float32)}
+                "roughness": levels[self.theta.level][self.region_map].astype(np.float32), "metallic": self.theta.m[self.region_map].astype(np.float32)}
 
     def result(self, code: torch.Tensor, start: Explanation) -> tuple[Explanation, dict]:
         """The draw as maps, and facts."""
-        photos, theta, h = self.photos, self.theta, self.prior.height
+        photos, theta = self.photos, self.theta
         coded = PixelCode(photos, self.prior, self.log_scale, LAST)
-        light = coded.radiance(code).T.reshape(h, 2 * h, 3).numpy().astype(np.float32)
         facts = {"scale": float(np.exp(self.log_scale)), "scale_drawn": True, "rows": len(photos.rows.point),
                  "points": len(photos.region), "relative_error": photos.eta, "design_effect": photos.kappa,
                  "regions": [{"base_color": theta.mu[r].tolist(), "spread": float(theta.tau[r]), "metallic": float(theta.m[r]),
                               "roughness": photos.lobes.levels[theta.level[r]], "points": int((photos.region == r).sum())}
                              for r in range(len(theta.m))]}
-        return replace(start, light=np.ascontiguousarray(light), **self.maps(coded.light(code), self.settings.texture)), facts
+        return replace(start, light=coded.map(code), **self.maps(coded.light(code), self.settings.texture)), facts
 
 
 def split_gibbs(problem: Problem, prior, start: Explanation, settings: Sample, seed: int) -> tuple[Explanation, dict]:

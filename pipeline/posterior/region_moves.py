@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from .likelihood import Photos, Theta, mix
+from .problem import ALBEDO_MAX
 
 METALLIC = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 1.0])
 METALLIC_PRIOR = np.log(np.array([8, 4, 2, 1, 0.7, 0.5, 0.5, 0.5, 0.7, 1, 2, 4, 4]) / 28.9)     # things are metal or not
@@ -18,7 +19,6 @@ CHROMA = 0.35                               # width of log base colour between c
 COMMON = 0.5                                # share of both variances that all regions of an object have in common
 TAIL = 3.0                                  # degrees of freedom of Student's t: black paint and dyes are far out
 TAU_PRIOR = (np.log(0.3), 0.7)
-MU_MAX = 0.98                               # of a mean colour
 SCALE_PRIOR = 1.5                           # deviation of the log light scale about the level that fits a grey object
 
 
@@ -43,7 +43,7 @@ def log_own_prior(theta: Theta) -> np.ndarray:
     """Of every region's spread of colour and metallic (R,), up to a constant; -inf where a value is impossible."""
     out = -0.5 * ((np.log(theta.tau) - TAU_PRIOR[0]) / TAU_PRIOR[1]) ** 2
     out = out + METALLIC_PRIOR[np.abs(theta.m[:, None] - METALLIC).argmin(1)]
-    return np.where((theta.mu >= MU_MAX).any(1) | (theta.tau > 3), -np.inf, out)
+    return np.where((theta.mu >= ALBEDO_MAX).any(1) | (theta.tau > 3), -np.inf, out)
 
 
 def log_prior(theta: Theta) -> float:

@@ -33,9 +33,9 @@ class Turns:
         """The code after moves of all that is unknown beside the light and the mean colours; `shifts` says what it costs to move the code."""
         return code
 
-    def light_turn(self, coded: Coded, about: torch.Tensor, z: torch.Tensor, afresh: bool = False) -> torch.Tensor:
-        """Unknowns of the light's code drawn about `about` together with the regions' colours, from z on."""
-        z = draw_light(coded, coded.centre(about), coded.join(z, self.theta), coded.width, SLICES, self.rng, self.noise, afresh)
+    def light_turn(self, coded: Coded, about: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
+        """Unknowns of the light's code drawn afresh about `about` together with the regions' colours; z is where to begin."""
+        z = draw_light(coded, coded.centre(about), coded.join(z, self.theta), coded.width, SLICES, self.rng, self.noise, afresh=True)
         self.theta.mu = coded.colours(z)
         self.photos.set(self.theta)
         return z[:, :coded.size]
@@ -49,7 +49,7 @@ class Turns:
         """Light | rest with the Gaussian prior's modes; the code (3, m) in that prior's units."""
         coded = self.gaussian_code()
         for _ in range(count):
-            self.coefficients = self.light_turn(coded, torch.zeros(1, coded.size), self.coefficients, True)
+            self.coefficients = self.light_turn(coded, torch.zeros(1, coded.size), self.coefficients)
             self.after_light(coded, coded.code(self.coefficients))
         return coded.code(self.coefficients)
 
@@ -67,7 +67,7 @@ class Turns:
             noisy = (code + sigma * torch.randn(code.shape, generator=self.noise)).reshape(1, 3, prior.height, prior.width)
             mean = prior.denoise(noisy, sigma, self.settings.label).reshape(3, -1)
             coded = ModeCode(self.photos, prior, self.log_scale, modes, mean, sigma)
-            c = self.light_turn(coded, torch.zeros(1, coded.size), coded.coefficients(code), True)
+            c = self.light_turn(coded, torch.zeros(1, coded.size), coded.coefficients(code))
             code = self.after_light(coded, coded.code(c))
             bar.step(f"error {100 * self.photos.eta:.1f} %")
         return code
@@ -80,7 +80,7 @@ class Turns:
         x = code
         for rho in map(float, rhos):
             coded.width, coded.gain = rho, noise_gain(prior.log_spread, rho)
-            z = self.light_turn(coded, x, z, True)
+            z = self.light_turn(coded, x, z)
             gap = (z - x).mean(1).numpy()
             cost = lambda d: float(-0.5 * z.shape[1] * ((gap + d / prior.log_spread) ** 2 - gap**2).sum() / rho**2)
             z = self.after_light(coded, z, cost)
