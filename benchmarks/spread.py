@@ -87,7 +87,6 @@ def photographed(sphere: Sphere, roughness: float, metallic: float, light: np.nd
     U, W = photos.predict(resample_area(light, size, 2 * size).reshape(-1, 3))
     clean = COLOUR * U + W
     photos.eta, photos.observed = ERROR, clean + ERROR * (clean + SHADE) * rng.normal(size=clean.shape)
-    photos.y = photos.observed.copy()
     return photos
 
 
@@ -129,7 +128,7 @@ def measure(job: tuple) -> dict:
     photos = photographed(sphere, roughness, metallic, light, settings.light, np.random.default_rng([k, 5]))
     drawn, true = posterior(photos, prior, settings, draws), blocks(light)
     spread, error = drawn.std(0, ddof=1), np.abs(drawn.mean(0) - true)
-    out = {"kind": kind, "roughness": roughness, "metallic": metallic, "views": views, "light": k, "rows": len(photos.y),
+    out = {"kind": kind, "roughness": roughness, "metallic": metallic, "views": views, "light": k, "rows": len(photos.observed),
            "spread": float(np.average(spread, weights=WEIGHT)), "error": float(np.average(error, weights=WEIGHT))}
     if kind == "masked":
         mirrored = sphere.d - 2 * (sphere.d * sphere.normal).sum(1, keepdims=True) * sphere.normal

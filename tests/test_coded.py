@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from pipeline.posterior.coded import ModeCode, Modes, PixelCode
-from pipeline.posterior.evidence import CANDIDATES, Search, pooled
+from pipeline.posterior.evidence import CANDIDATES, Search
 from pipeline.posterior.likelihood import Theta
+from pipeline.posterior.pooling import pooled
 from pipeline.prior.code import Code
 from pipeline.prior.gaussian import GaussianPrior, translated
 from tests.test_transport import photos, scene, transport                     # noqa: F401  (fixtures)
@@ -89,12 +90,21 @@ def test_residual_is_that_of_the_expansion(coded, photos):                    # 
     assert torch.allclose(coded.residual(z), coded.expansion(z)[1], atol=1e-3)
 
 
+def test_adjoint_is_that_of_the_expansion(coded, photos):                     # noqa: F811
+    noise = torch.Generator().manual_seed(0)
+    z = coded.join(0.3 * torch.randn(3 if isinstance(coded, PixelCode) else 1, coded.size, generator=noise), photos.theta)
+    J, r, fold = coded.expansion(z)
+    w = torch.randn(r.shape, generator=noise)
+    expected = fold.up(torch.einsum("cnk,cn->ck", J, w))
+    assert float((coded.adjoint(z, w) - expected).norm() / expected.norm()) < 1e-4
+
+
 def test_search_finds_the_material(photos):                                   # noqa: F811
     """Photos of a shiny and a rough region under a light of the prior's own: levels within one, metal told from dielectric."""
     prior = smooth_prior(8, Code(-0.4, 0.7))
     rng = np.random.default_rng(4)
     truth = Theta(np.array([[0.6, 0.5, 0.4], [0.3, 0.3, 0.35]]), np.full(2, 0.05), np.array([0, 4]), np.array([1.0, 0.0]))
-    photos.eta, photos.kappa, photos.weight = 0.03, 1.0, np.ones(len(photos.y))
+    photos.eta, photos.kappa, photos.weight = 0.03, 1.0, np.ones(len(photos.observed))
     photos.set(truth)
     B, _ = prior.modes(60)
     c = torch.randn(60, generator=torch.Generator().manual_seed(3))
@@ -102,7 +112,7 @@ def test_search_finds_the_material(photos):                                   # 
     light = prior.decode(code.reshape(1, 3, 8, 16)).reshape(3, -1).T.numpy().astype(float)
     U, W = photos.predict(light)
     colour = truth.mu[photos.region]
-    photos.y = photos.observed = (colour[photos.rows.point] * U + W) * (1 + 0.02 * rng.normal(size=U.shape))
+    photos.observed = (colour[photos.rows.point] * U + W) * (1 + 0.02 * rng.normal(size=U.shape))
     start = Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([2, 2]), np.array([0.2, 0.2]))
     found, _ = Search(photos, prior, 0.0, 40, rng).run(start, 3, rng)
     assert found.m[0] in CANDIDATES[2:] and found.m[1] in CANDIDATES[:2]

@@ -8,6 +8,7 @@ from pipeline.prior import find_prior, load_prior
 from pipeline.prior.code import Code, scale_of
 from pipeline.prior.network import Denoiser
 from pipeline.prior.procedural import night, outdoor
+from pipeline.prior.sampling import GUIDANCE, GUIDED_FROM, GUIDED_TO, Guided, classes, reverse_diffusion
 from pipeline.prior.schedule import T, posterior, sigma, subsequence
 
 
@@ -82,3 +83,43 @@ def test_wrong_weights_are_named(tmp_path):
         find_prior("prior_smal")
     with pytest.raises(InputError, match="no class"):
         load_prior("prior_small").label_index("seaside")
+
+
+def test_classes_come_in_their_shares():
+    shares = {"indoor": 0.2, "outdoor": 0.5, "night": 0.3}
+    ten = classes(shares, 10, np.random.default_rng(0))
+    assert [ten.count(name) for name in shares] == [2, 5, 3]
+    eleven = classes(shares, 11, np.random.default_rng(0))
+    assert len(eleven) == 11 and all(abs(eleven.count(name) - 11 * share) < 1 for name, share in shares.items())
+
+
+def test_noise_is_denoised_class_by_class():
+    prior, x = load_prior("prior_small"), torch.randn(2, 3, 32, 64, generator=torch.Generator().manual_seed(0))
+    both = prior.denoise(x, 2.0, ["night", None])
+    assert torch.allclose(both[:1], prior.denoise(x[:1], 2.0, "night"), atol=1e-4)
+    assert torch.allclose(both[1:], prior.denoise(x[1:], 2.0), atol=1e-4)
+    assert not torch.allclose(both[:1], prior.denoise(x[:1], 2.0), atol=1e-2)
+
+
+class Shrinking:
+    """Codes N(m, .25) pixel by pixel, m = 1 with the class and 0 without: what every step of reverse diffusion should give is known."""
+    height, width, shares = 4, 8, {}
+
+    def denoise(self, x, sigma, label=None):
+        return (0.25 * x + sigma**2 * (label is not None)) / (0.25 + sigma**2)
+
+
+@pytest.mark.parametrize("churn", [0.0, 0.5, 1.0])
+def test_reverse_diffusion_draws_the_prior_with_any_churn(churn):
+    noise = torch.Generator().manual_seed(0)
+    z = 20 * torch.randn(400, 3, 4, 8, generator=noise)
+    x = reverse_diffusion(Shrinking(), z, 20.0, 40, "class", np.random.default_rng(0), noise, churn=churn)
+    assert abs(float(x.mean()) - 1) < 0.03 and abs(float(x.std()) - 0.5) < 0.03
+
+
+def test_guidance_leads_away_from_the_unlabelled_mean():
+    prior, x = Shrinking(), torch.zeros(1, 3, 4, 8)
+    middle = 0.5 * (GUIDED_FROM + GUIDED_TO)
+    assert torch.allclose(Guided(prior).denoise(x, middle, "class"), GUIDANCE * prior.denoise(x, middle, "class"))
+    for sigma_ in (0.5 * GUIDED_FROM, 2 * GUIDED_TO):
+        assert torch.equal(Guided(prior).denoise(x, sigma_, "class"), prior.denoise(x, sigma_, "class"))

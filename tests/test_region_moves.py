@@ -8,7 +8,8 @@ from pipeline.posterior.ours import BLOCKS, block_shares
 from pipeline.posterior.regions import group, texel_regions
 from pipeline.posterior.region_moves import CHROMA, COMMON, DIELECTRIC, METAL, METALLIC, METALLIC_PRIOR, TAIL, draw_regions
 
-SILENT = SimpleNamespace(region=np.array([0, 1]), row_region=np.array([0, 1]), point_values=lambda U, W, t: np.zeros(2))
+SILENT = SimpleNamespace(region=np.array([0, 1]), rows=SimpleNamespace(point=np.array([0, 1])), point_materials=lambda t: (t.level, t.m),
+                         point_values=lambda U, W, t: np.zeros(2))
 
 
 def from_the_prior(rng) -> Theta:

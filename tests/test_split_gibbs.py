@@ -25,7 +25,15 @@ def dense(prior: GaussianPrior) -> torch.Tensor:
     return prior.filtered(torch.eye(size).reshape(size, 3, prior.height, prior.width), lambda v: v).reshape(size, size)
 
 
-class Linear:
+class Adjoint:
+    """The adjoint a likelihood has by its own expansion."""
+
+    def adjoint(self, z, w):
+        J, _, fold = self.expansion(z)
+        return fold.up(torch.einsum("cnk,cn->ck", J, w))
+
+
+class Linear(Adjoint):
     """y_c = J_c z_c + noise of deviation 1."""
 
     def __init__(self, J, y):
@@ -89,7 +97,7 @@ def test_curvature_solves_and_draws(n):
     assert float((torch.cov(draws.T) - torch.linalg.inv(A)).norm() / torch.linalg.inv(A).norm()) < 0.12
 
 
-class Pooled:
+class Pooled(Adjoint):
     """y = T P exp(z) + noise of deviation 1, the light pooled from 8 to 4 rows; one more unknown at the end, observed as it is."""
 
     def __init__(self, folded: bool):
@@ -139,7 +147,7 @@ def test_the_peak_is_found_from_afar():
     assert target(far.mode) > target(near.mode) - 20 and target(x) < target(near.mode) - 1e3
 
 
-class Bright:
+class Bright(Adjoint):
     """y = exp(z) + noise, one code per channel, known to 30 %: skewed in z, where the prior N(0, 1) has its say."""
     y = torch.tensor([[0.2], [1.0], [4.0]])
 
@@ -222,7 +230,7 @@ class TwoModes:
 
 def test_both_modes_with_their_weights():
     """A likelihood that prefers the upper mode 7 : 3 and says nothing else; weights within binomial error."""
-    class Tilt:
+    class Tilt(Adjoint):
         def value(self, z):
             return 0.5 * np.log(7 / 3) * float(z.mean())
 

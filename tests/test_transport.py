@@ -135,7 +135,7 @@ def dense_value(photos, light) -> float:
         for c in range(3):
             mu, v = photos.theta.mu[r, c], (photos.theta.tau[r] * photos.theta.mu[r, c]) ** 2
             D = np.diag(photos.kappa / photos.share[p] * (photos.eta * (photos.observed[k, c] + SHADE)) ** 2 / photos.weight[k])
-            S, e = D + v * np.outer(U[k, c], U[k, c]), photos.y[k, c] - mu * U[k, c] - W[k, c]
+            S, e = D + v * np.outer(U[k, c], U[k, c]), photos.observed[k, c] - mu * U[k, c] - W[k, c]
             total -= 0.5 * (e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1] - np.linalg.slogdet(D)[1])
     return total
 
@@ -151,8 +151,8 @@ def test_whitened_rows_have_the_likelihoods_curvature(photos, scene):
     flat.tau[:] = 1e-6
     kept, _ = photos.theta, photos.set(flat)
     light, other = scene[2].reshape(-1, 3).astype(float), np.random.default_rng(5).uniform(0.1, 2, (128, 3))
-    T, y, _ = photos.whitened(light)
-    square = lambda L: -0.5 * float((y - torch.einsum("cnm,cm->cn", T, torch.from_numpy(L.T.astype(np.float32)))).square().sum())
+    T, r, _ = photos.whitened(light)
+    square = lambda L: -0.5 * float((r - torch.einsum("cnm,cm->cn", T, torch.from_numpy((L - light).T.astype(np.float32)))).square().sum())
     assert abs((square(light) - square(other)) - (photos.value(light) - photos.value(other))) < 1e-3 * abs(photos.value(other))
     photos.set(kept)
 
@@ -163,7 +163,7 @@ def test_drawn_colours_and_noise_recover_the_truth(photos, scene):
     U, W = photos.predict(light)
     truth = np.clip(photos.theta.mu[photos.region] * (1 + photos.theta.tau[photos.region, None] * rng.normal(size=(40, 3))), 0.02, 0.95)
     clean = truth[photos.rows.point] * U + W
-    photos.y = photos.observed = clean / (1 - 0.05 * np.clip(rng.normal(size=clean.shape), -3, 3))
+    photos.observed = clean / (1 - 0.05 * np.clip(rng.normal(size=clean.shape), -3, 3))
     photos.kappa, photos.weight, photos.eta = 1.0, np.ones(len(clean)), 0.3
     for _ in range(30):
         colour = photos.draw_colour(U, W, photos.theta, rng)

@@ -82,13 +82,19 @@ class Coded:
         self.put(z)
         return self.photos.residual(self.light(self.code(z)))
 
+    def pulled(self, z: torch.Tensor, w: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Adjoint of the expansion in the code (3, M) and in the scaled colours (3, R), for w (3, n)."""
+        steep = torch.from_numpy(steepness(self.put(z).mu).T.astype(np.float32))
+        L, g = self.slopes(self.code(z))
+        light, colours = self.photos.adjoint(self.pool.down(L).T.numpy().astype(np.float64), w)
+        return self.pool.up(light) * g, colours * steep * (COLOUR_SPREAD / self.width)
+
     def linear(self, z: torch.Tensor):
         """Slope g (3, M), T (3, n, M'), residual (3, n), V (3, n, R) at z."""
         steep = torch.from_numpy(steepness(self.put(z).mu).T[:, None].astype(np.float32))
         L, g = self.slopes(self.code(z))
-        L = self.pool.down(L)
-        T, y, V = self.photos.whitened(L.T.numpy().astype(np.float64))
-        return g, T, y - torch.einsum("cnm,cm->cn", T, L), V * steep * (COLOUR_SPREAD / self.width)
+        T, residual, V = self.photos.whitened(self.pool.down(L).T.numpy().astype(np.float64))
+        return g, T, residual, V * steep * (COLOUR_SPREAD / self.width)
 
 
 class PixelCode(Coded):
@@ -112,6 +118,9 @@ class PixelCode(Coded):
     def code(self, z: torch.Tensor) -> torch.Tensor:
         return z[:, :self.size]
 
+    def adjoint(self, z: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
+        return torch.cat(self.pulled(z, w), 1)
+
     def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Fold]:
         """Gauss-Newton."""
         g, T, residual, V = self.linear(z)
@@ -120,7 +129,9 @@ class PixelCode(Coded):
 
 
 class Modes:
-    """Leading modes of a Gaussian prior, in the codes of `prior`, whose rows the Gaussian's divide."""
+    """Leading modes of a Gaussian prior, in the codes of `prior`, whose rows the Gaussian's divide; `operator`: rows
+    of the light that T acts on.
+    """
 
     def __init__(self, gaussian: GaussianPrior, prior, count: int, operator: int):
         ratio = gaussian.log_spread / prior.log_spread
@@ -135,6 +146,12 @@ class Modes:
     def within(self, offset: torch.Tensor) -> torch.Tensor:
         """Weights (K,) of the modes in an offset (3, M) of codes; modes are orthogonal."""
         return torch.einsum("kcm,cm->k", self.B, self.fine.down(offset)) / self.variance
+
+    def along(self, code: torch.Tensor) -> torch.Tensor:
+        """Adjoint of `around`'s sum, (K,), of (3, M)."""
+        fine = self.fine
+        shape = (3, fine.shape[0], fine.shape[1], fine.shape[2], fine.shape[3])
+        return torch.einsum("kcm,cm->k", self.B, code.reshape(shape).sum((2, 4)).reshape(3, -1))
 
     def moved(self, g: torch.Tensor) -> torch.Tensor:
         """Change of the operator's light per mode, (3, K, M'), for slopes g (3, M)."""
@@ -169,6 +186,10 @@ class ModeCode(Coded):
     def coefficients(self, code: torch.Tensor) -> torch.Tensor:
         """(1, K) whose `code` is nearest to a code (3, M)."""
         return (self.modes.within(code - self.mean) / self.keep)[None]
+
+    def adjoint(self, z: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
+        code, colours = self.pulled(z, w.reshape(3, -1))
+        return torch.cat([self.keep * self.modes.along(code), colours.reshape(-1)])[None]
 
     def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Whole]:
         """Gauss-Newton; the three channels are one system, for the modes couple them."""

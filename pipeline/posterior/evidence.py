@@ -21,6 +21,7 @@ from ..prior.gaussian import GaussianPrior
 from ..transport import Rows
 from .coded import COMPONENTS, ModeCode, Modes
 from .likelihood import Photos, Theta
+from .pooling import pooled
 from .region_moves import METALLIC, log_prior
 from .split_gibbs import cholesky
 
@@ -28,12 +29,6 @@ ROWS = 16               # of the light: the modes are no finer
 ERROR, THINNING = 0.1, 3.0      # relative error, and rows per independent one, assumed during the search
 LIGHT_FIRST = 3         # steps of the light at the fit's materials
 CANDIDATES = METALLIC[[0, 4, 8, 12]]
-
-
-def pooled(T: torch.Tensor, rows: int) -> torch.Tensor:
-    """Operators (..., M) on a light as operators on one of `rows` rows, the same all over each of its pixels."""
-    h = round((T.shape[-1] / 2) ** 0.5)
-    return T.reshape(*T.shape[:-1], rows, h // rows, 2 * rows, h // rows).sum((-3, -1)).flatten(-2)
 
 
 def subset(photos: Photos, points: np.ndarray) -> Photos:
@@ -44,7 +39,7 @@ def subset(photos: Photos, points: np.ndarray) -> Photos:
     lobes.off = [[g[keep] for g in G] for G in photos.lobes.off]
     rows = Rows(photos.rows.observation[keep], np.searchsorted(points, photos.rows.point[keep]))
     out = Photos(transport, lobes, photos.observed[keep], photos.clipped[keep], np.zeros(len(points), int), 1, rows)
-    out.eta, out.kappa, out.weight = ERROR, THINNING, np.where(out.clipped, 0.05, 1.0)      # saturated rows say little here
+    out.eta, out.kappa = ERROR, THINNING
     out.share = photos.share[points]
     return out
 
@@ -66,8 +61,18 @@ class Search:
         for r in range(photos.region.max() + 1):
             mine = rng.permutation(np.flatnonzero(photos.region == r))
             self.parts.append(subset(photos, np.sort(mine[:max(8, round(share * len(mine)))])))      # small regions have a say too
-        modes = Modes(gaussian, gaussian, COMPONENTS, self.parts[0].transport.h)
-        self.coded = ModeCode(self.parts[0], gaussian, log_scale, modes, gaussian.flat_mean)
+        self.gaussian = gaussian
+        self.about(gaussian, log_scale, gaussian.flat_mean)
+
+    def about(self, prior, log_scale: float, mean: torch.Tensor, sigma: float = np.inf) -> ModeCode:
+        """From now on lights are codes of `prior` about `mean`, seen through noise sigma (coded.ModeCode)."""
+        modes = Modes(self.gaussian, prior, COMPONENTS, self.parts[0].transport.h)
+        self.coded = ModeCode(self.parts[0], prior, log_scale, modes, mean, sigma)
+        return self.coded
+
+    def noise(self, eta: float, kappa: float) -> None:
+        for part in self.parts:
+            part.eta, part.kappa = eta, kappa
 
     def light(self, c: torch.Tensor) -> np.ndarray:
         """What the operator acts on (M', 3), of coefficients (K,)."""
@@ -75,7 +80,7 @@ class Search:
 
     def linear(self, c: torch.Tensor) -> tuple[np.ndarray, torch.Tensor]:
         """The light (M', 3) at c and its change per mode (3, K, M')."""
-        return self.light(c), self.coded.modes.moved(self.coded.slopes(self.coded.code(c[None]))[1])
+        return self.light(c), self.coded.modes.moved(self.coded.slopes(self.coded.code(c[None]))[1]) * self.coded.keep[:, None]
 
     def piece(self, r: int, theta: Theta, light: np.ndarray, moved: torch.Tensor) -> Piece:
         """Region r with materials theta, its colour fitted to this light."""
@@ -83,8 +88,7 @@ class Search:
         part.set(theta)
         theta = fitted_colour(part, light)
         part.set(theta)
-        T, y, _ = part.whitened(light)
-        residual = y - torch.einsum("cnm,mc->cn", T, torch.from_numpy(light.astype(np.float32)))
+        T, residual, _ = part.whitened(light)
         J = torch.einsum("cnm,ckm->cnk", T, moved).reshape(-1, moved.shape[1])
         return Piece(theta, part.value(light), J.T @ J, J.T @ residual.reshape(-1))
 
@@ -93,11 +97,15 @@ class Search:
         at = self.linear(c)
         return [self.piece(r, theta, *at) for r, theta in enumerate(thetas)], at
 
-    def draw_material(self, group: list[int], pieces: list[Piece], at: tuple, c: torch.Tensor, rng) -> tuple[list[Piece], torch.Tensor]:
+    def draw_material(self, group: list[int], pieces: list[Piece], at: tuple, c: torch.Tensor, rng, near: bool = False) -> tuple[list[Piece], torch.Tensor]:
         """One roughness and metallic for all regions of `group`, or what they have, by evidence: all pieces, and the light's step
         that goes with them (K,). at = linear(c).
         """
-        choices = [(level, m) for level in range(len(self.parts[0].lobes.levels)) for m in CANDIDATES]
+        levels = range(len(self.parts[0].lobes.levels))
+        choices = [(level, m) for level in levels for m in CANDIDATES]
+        if near:
+            have = pieces[group[0]].theta
+            choices = [(level, have.m[0]) for level in levels if abs(level - have.level[0]) < 3] + [(have.level[0], m) for m in CANDIDATES]
         changed = lambda choice: [self.piece(r, p.theta.made_of(*choice), *at) if r in group else p for r, p in enumerate(pieces)]
         found = []
         for candidate in [pieces] + [changed(choice) for choice in choices]:
@@ -107,6 +115,16 @@ class Search:
         values = np.array([v for v, _, _ in found])
         odds = np.exp(values - values.max())
         return found[rng.choice(len(found), p=odds / odds.sum())][1:]
+
+    def turn(self, theta: Theta, c: torch.Tensor, rng) -> tuple[Theta, torch.Tensor]:
+        """One sweep over the regions from what they have and coefficients c (1, K), near candidates only."""
+        c = c[0]
+        pieces, at = self.pieces([theta.of([r]) for r in range(len(self.parts))], c)
+        for r in rng.permutation(len(self.parts)):
+            pieces, step = self.draw_material([r], pieces, at, c, rng, near=True)
+            c = damped(c, step)
+            pieces, at = self.pieces([p.theta for p in pieces], c)
+        return joined(pieces), c[None]
 
     def run(self, theta: Theta, sweeps: int, rng: np.random.Generator) -> tuple[Theta, torch.Tensor]:
         """Theta of all regions and the light's coefficients (1, K) after `sweeps` region by region; between them all regions at once."""
@@ -156,9 +174,7 @@ def fitted_colour(part: Photos, light: np.ndarray) -> Theta:
     """The region's Theta with mean and spread of the points' best base colours under this light."""
     out = part.theta.copy()
     U, W = part.predict(light)
-    v = (out.tau[part.region, None] * out.mu[part.region]) ** 2
-    precision, pull, _ = part.sums(U, W, np.zeros_like(U))
-    colour = np.clip((pull + out.mu[part.region] / v) / (precision + 1 / v), 1e-3, 1.2)
+    colour = np.clip(part.colours(*part.sums(U, W, out, part.counted(U, W, out))[:2], out)[0], 1e-3, 1.2)
     out.mu[0] = np.clip(colour.mean(0), 0.01, 0.95)
     out.tau[0] = np.clip((colour.std(0) / out.mu[0]).mean(), 0.05, 1.5)
     return out

@@ -10,7 +10,9 @@ so y_p ~ N(mu U + W, D + v U U') with v = tau^2 mu^2, in closed form by the rank
 tells of the light by its shading, a busy texture does not, and the data decide which it is.
 
 Neighbouring rows err together (a wrong normal, a wrong camera): the log-likelihood is divided by the design effect
-kappa, measured from residuals. Saturated rows are augmented: their y is drawn above the clip level.
+kappa, measured from residuals. A saturated row is a lower bound: it counts, at the clip level, only while it is predicted darker
+than that with the colour that the point's other rows give it. (Drawing what it would have shown, light given that and that given
+light, creeps: the highlights' peaks never got above the clip level by more than the noise in a turn.)
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from .problem import ALBEDO_MAX, SHADE
 
 NU = 4.0                                                    # degrees of freedom of the residuals
 LEVELS = (0.08, 0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0)      # roughness
+METALLIC = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 1.0])
 
 
 @dataclass
@@ -77,21 +80,41 @@ def mix(parts, m):
     return (1 - m) * parts[0] + m * (parts[2] - parts[3]), (1 - m) * parts[1] + m * parts[3]
 
 
+@dataclass
+class Whitener:
+    """(I - shrink u u') diag(scale) point by point: scale (n, 1), unit vectors u (n, 1), shrink (p, 1), point of every row (n,)."""
+    scale: torch.Tensor
+    unit: torch.Tensor
+    shrink: torch.Tensor
+    point: torch.Tensor
+
+    def without(self, x: torch.Tensor) -> torch.Tensor:
+        along = torch.zeros(len(self.shrink), x.shape[1]).index_add_(0, self.point, self.unit * x)
+        return x - self.unit * (self.shrink * along)[self.point]
+
+    def __call__(self, x: torch.Tensor) -> torch.Tensor:
+        return self.without(x * self.scale)
+
+    def transposed(self, x: torch.Tensor) -> torch.Tensor:
+        return self.without(x) * self.scale
+
+
 class Photos:
     """Rows of the photos with their noise, and what the current materials make of them.
 
-    y (n, 3), clipped (n,), region (p,) of every point. `light` arguments are (M, 3) radiance.
+    observed (n, 3), clipped (n,): whether that is a lower bound; region (p,) of every point. `light` arguments are (M, 3) radiance.
     """
 
     def __init__(self, transport: Transport, lobes: Lobes, rgb: np.ndarray, clipped: np.ndarray, region: np.ndarray, bounces: int,
                  rows: Rows | None = None):
         self.transport, self.lobes, self.rows, self.bounces = transport, lobes, rows or transport.rows, bounces
-        self.observed, self.clipped, self.y = rgb.astype(np.float64), clipped, rgb.astype(np.float64).copy()
+        self.observed, self.clipped = rgb.astype(np.float64), clipped
         self.region, self.starts = region, self.rows.starts
         self.row_region = region[self.rows.point]
         self.eta, self.kappa, self.weight, self.share = 0.3, 1.0, np.ones(len(rgb)), np.ones(len(region))
+        self.offset = np.zeros((2, len(region)), int)       # of every point's roughness level and step of metallic from its region's
         self.theta: Theta | None = None
-        self.assembled = None                               # (level, m) per region of the matrices U, W
+        self.assembled = None                               # (level, m) per point of the matrices U, W
 
     @contextmanager
     def row_by_row(self):
@@ -105,29 +128,53 @@ class Photos:
 
     @property
     def precision(self) -> np.ndarray:
-        """1 / variance of each row and channel (n, 3)."""
+        """1 / variance of each row and channel (n, 3), whether it counts or not."""
         return self.weight[:, None] / (self.eta * (self.observed + SHADE)) ** 2
+
+    def counted(self, U: np.ndarray, W: np.ndarray, theta: Theta) -> np.ndarray:
+        """`precision` (n, 3) without the saturated rows that U and W (n, 3) explain."""
+        precision, k = self.precision, self.clipped
+        if k.any():
+            lower = precision[k]
+            precision[k] = 0
+            colour = self.colours(*self.sums(U, W, theta, precision)[:2], theta)[0][self.rows.point[k]]
+            precision[k] = np.where(colour * U[k] + W[k] < self.observed[k], lower, 0)
+        return precision
+
+    def colours(self, q: np.ndarray, g: np.ndarray, theta: Theta) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and variance (p, 3) of the points' base colours, from `sums`; the mean may lie outside what is possible."""
+        mu = theta.mu[self.region]
+        v = np.maximum((theta.tau[self.region, None] * mu) ** 2, 1e-10)
+        return mu + v * g / (1 + v * q), v / (1 + v * q)
+
+    def point_materials(self, theta: Theta) -> tuple[np.ndarray, np.ndarray]:
+        """Roughness level and metallic of every point, (p,) each."""
+        step = np.abs(theta.m[:, None] - METALLIC).argmin(1)
+        m = METALLIC[np.clip(step[self.region] + self.offset[1], 0, len(METALLIC) - 1)]
+        return np.clip(theta.level[self.region] + self.offset[0], 0, len(self.lobes.levels) - 1), m
 
     def set(self, theta: Theta) -> None:
         """Materials that `predict`, `value` and `normal_equations` use. Matrices are rebuilt only where they changed."""
-        key = (tuple(theta.level), tuple(theta.m))
+        level, m = self.point_materials(theta)
+        key = (level.tobytes(), m.tobytes())
         if key != self.assembled:
             n, M = self.lobes.direct[0].shape[1:]
             self.U, self.W = torch.empty(n, M), torch.empty(n, M)
-            off = [sparse.csr_matrix(self.lobes.off[0][0].shape)] * 2
-            for r in range(len(theta.m)):
-                index = np.flatnonzero(self.row_region == r)
-                parts = self.lobes.direct[theta.level[r]][:, index]
-                self.U[index], self.W[index] = mix(parts, float(theta.m[r]))
-                choose = sparse.diags((self.row_region == r).astype(float))
-                off = [a + choose @ b for a, b in zip(off, mix(self.lobes.off[theta.level[r]], theta.m[r]))]
-            self.off, self.assembled = off, key
+            self.off = [sparse.csr_matrix(self.lobes.off[0][0].shape)] * 2
+            level, m = level[self.rows.point], m[self.rows.point]
+            for k in np.unique(level):
+                index = torch.from_numpy(np.flatnonzero(level == k))
+                self.U[index], self.W[index] = mix(self.lobes.direct[k][:, index], torch.from_numpy(m[level == k].astype(np.float32))[:, None])
+                black, white = (sparse.diags(np.where(level == k, share, 0.0)) for share in (1 - m, m))
+                a, s, m1, m0 = self.lobes.off[k]
+                self.off = [self.off[0] + black @ a + white @ (m1 - m0), self.off[1] + black @ s + white @ m0]
+            self.assembled = key
         self.theta = theta
 
     def albedo(self, theta: Theta) -> np.ndarray:
         """Diffuse stand-in albedo (p, 3) of the points for light between parts of the object."""
-        m = theta.m[:, None]
-        return np.clip((1 - m) * (theta.mu + 0.05) + m * theta.mu, 0, ALBEDO_MAX)[self.region]
+        m, mu = self.point_materials(theta)[1][:, None], theta.mu[self.region]
+        return np.clip((1 - m) * (mu + 0.05) + m * mu, 0, ALBEDO_MAX)
 
     def nodes(self, light: np.ndarray, theta: Theta) -> np.ndarray:
         return self.transport.exitant(light, self.albedo(theta), self.bounces - 1) if self.bounces > 1 else \
@@ -143,82 +190,84 @@ class Photos:
         B = self.nodes(light, self.theta)
         return self.off[0] @ B, self.off[1] @ B
 
-    def sums(self, U, W, mu_rows, share=None):
-        """Per point and channel: sum w U^2, sum w U r, sum w r^2 over kappa, with r = y - mu U - W; (p, 3) each."""
-        w, r = self.precision, self.y - mu_rows * U - W
-        counted = (self.share if share is None else share) / self.kappa
-        add = lambda v: np.add.reduceat(v, self.starts, axis=0) * np.reshape(counted, (-1, 1))
-        return add(w * U * U), add(w * U * r), add(w * r * r)
+    def per_point(self, rows: np.ndarray) -> np.ndarray:
+        """Sums (p, 3) over each point's rows (n, 3)."""
+        return np.add.reduceat(rows, self.starts, axis=0)
+
+    def sums(self, U, W, theta: Theta, precision: np.ndarray, share=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Per point and channel: sum w U^2, sum w U r, sum w r^2 over kappa, with w `precision` and r = y - mu U - W; (p, 3) each."""
+        r = self.observed - theta.mu[self.row_region] * U - W
+        counted = np.reshape((self.share if share is None else share) / self.kappa, (-1, 1))
+        return tuple(self.per_point(v) * counted for v in (precision * U * U, precision * U * r, precision * r * r))
 
     def point_values(self, U: np.ndarray, W: np.ndarray, theta: Theta) -> np.ndarray:
-        """Log-likelihood of every point (p,), constants of the noise left out."""
-        mu, v = theta.mu[self.region], (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
-        q, g, s = self.sums(U, W, theta.mu[self.row_region])
-        return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * q)).sum(1)
+        """Log-likelihood of every point (p,), constants of the noise left out. Saturated rows always count in the determinant, so that
+        none gains by falling silent.
+        """
+        v = (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
+        q, g, s = self.sums(U, W, theta, self.counted(U, W, theta))
+        all_q = self.sums(U, W, theta, self.precision)[0] if self.clipped.any() else q
+        return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * all_q)).sum(1)
 
     def value(self, light: np.ndarray) -> float:
         return float(self.point_values(*self.predict(light), self.theta).sum())
 
-    def whitener(self, U: np.ndarray, c: int):
-        """What makes channel c's rows (n, k) independent with deviation 1, where U (n, 3) is `predict`'s."""
-        v = (self.theta.tau[self.region] * self.theta.mu[self.region, c]) ** 2
-        scale = np.sqrt(self.precision[:, c] * (self.share / self.kappa)[self.rows.point])
-        u = scale * U[:, c]
-        norm = np.maximum(np.add.reduceat(u * u, self.starts), 1e-30)
+    def whiteners(self, U: np.ndarray, W: np.ndarray) -> list["Whitener"]:
+        """What makes each channel's rows independent with deviation 1, where U and W (n, 3) are `predict`'s."""
+        v = (self.theta.tau[self.region, None] * self.theta.mu[self.region]) ** 2
+        scale = np.sqrt(self.counted(U, W, self.theta) * (self.share / self.kappa)[self.rows.point, None])
+        u = scale * U
+        norm = np.maximum(self.per_point(u * u), 1e-30)
         shrink = 1 - 1 / np.sqrt(1 + v * norm)                                 # (I - shrink uu') D^-1/2 whitens D + v UU'
-        column = lambda x: torch.from_numpy(x.astype(np.float32))[:, None]
-        unit, factor, scale, point = column(u / np.sqrt(norm)[self.rows.point]), column(shrink), column(scale), torch.from_numpy(self.rows.point)
-
-        def whiten(x: torch.Tensor) -> torch.Tensor:
-            x = x * scale
-            return x - unit * (factor * torch.zeros(len(norm), x.shape[1]).index_add_(0, point, unit * x))[point]
-        return whiten
+        unit, point = u / np.sqrt(norm)[self.rows.point], torch.from_numpy(self.rows.point)
+        column = lambda x, c: torch.from_numpy(x[:, c].astype(np.float32))[:, None]
+        return [Whitener(column(scale, c), column(unit, c), column(shrink, c), point) for c in range(3)]
 
     def residual(self, light: np.ndarray) -> torch.Tensor:
-        """y - T L of `whitened` (3, n), without building T."""
+        """r (3, n) of `whitened`, without building T."""
         U, W = self.predict(light)
-        rest = torch.from_numpy((self.y - self.theta.mu[self.row_region] * U - W).astype(np.float32))
-        return torch.stack([self.whitener(U, c)(rest[:, c:c + 1])[:, 0] for c in range(3)])
+        rest = torch.from_numpy((self.observed - self.theta.mu[self.row_region] * U - W).astype(np.float32))
+        return torch.stack([whiten(rest[:, c:c + 1])[:, 0] for c, whiten in enumerate(self.whiteners(U, W))])
+
+    def adjoint(self, light: np.ndarray, w: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """T^T w (3, M) and V^T w (3, R) of `whitened` for w (3, n), without building T."""
+        U, W = self.predict(light)
+        mu = self.theta.mu[self.row_region]
+        t = np.stack([whiten.transposed(w[c][:, None])[:, 0].numpy() for c, whiten in enumerate(self.whiteners(U, W))])
+        T = (t * mu.T.astype(np.float32)) @ self.U.numpy() + t @ self.W.numpy()
+        V = np.stack([np.bincount(self.row_region, t[c] * mu[:, c] * U[:, c], len(self.theta.m)) for c in range(3)])
+        return torch.from_numpy(T), torch.from_numpy(V.astype(np.float32))
 
     def whitened(self, light: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """T (3, n, M), y (3, n), V (3, n, R): log-likelihood ~ -|y - T L - V d|^2 / 2 for lights L near `light` and
-        regions whose log mean colour moves by d; T is the direct part of the transport.
+        """T (3, n, M), r (3, n), V (3, n, R): log-likelihood ~ -|r - T dL - V d|^2 / 2 for a change dL of `light` and regions whose log
+        mean colour moves by d; T is the direct part of the transport.
         """
-        theta, (off_U, off_W) = self.theta, self.off_object(light)
-        mu, U = theta.mu[self.row_region], self.U.numpy() @ light.astype(np.float32) + off_U
-        direct = self.y - mu * off_U - off_W
+        (U, W), mu = self.predict(light), self.theta.mu[self.row_region]
+        rest = self.observed - mu * U - W
         column = lambda x: torch.from_numpy(x.astype(np.float32))[:, None]
-        T, y, V = torch.empty((3,) + self.U.shape), torch.empty(3, len(mu)), torch.zeros(3, len(mu), len(theta.m))
-        for c in range(3):
-            whiten = self.whitener(U, c)
+        T, r, V = torch.empty((3,) + self.U.shape), torch.empty(3, len(mu)), torch.zeros(3, len(mu), len(self.theta.m))
+        for c, whiten in enumerate(self.whiteners(U, W)):
             T[c] = whiten(column(mu[:, c]) * self.U + self.W)
-            y[c] = whiten(column(direct[:, c]))[:, 0]
+            r[c] = whiten(column(rest[:, c]))[:, 0]
             V[c][np.arange(len(mu)), self.row_region] = torch.from_numpy((mu[:, c] * U[:, c]).astype(np.float32))
             V[c] = whiten(V[c])
-        return T, y, V
+        return T, r, V
 
     def draw_colour(self, U, W, theta: Theta, rng) -> np.ndarray:
         """Base colour of every point (p, 3) given everything else, within [0, ALBEDO_MAX]."""
-        v = np.maximum((theta.tau[self.region, None] * theta.mu[self.region]) ** 2, 1e-10)
-        q, g, _ = self.sums(U, W, theta.mu[self.row_region], 1.0)
-        mean, deviation = theta.mu[self.region] + v * g / (1 + v * q), np.sqrt(v / (1 + v * q))
+        mean, variance = self.colours(*self.sums(U, W, theta, self.counted(U, W, theta), 1.0)[:2], theta)
+        deviation = np.sqrt(variance)
         low, high = (stats.norm.cdf((edge - mean) / deviation) for edge in (0.0, ALBEDO_MAX))
         inside = stats.norm.ppf(np.clip(low + rng.random(low.shape) * (high - low), 1e-9, 1 - 1e-9))
         return np.clip(mean + deviation * inside, 0.0, ALBEDO_MAX)
 
     def draw_noise(self, U, W, colour: np.ndarray, rng) -> None:
-        """New eta, lambda and saturated y, given the points' colours."""
-        predicted = colour[self.rows.point] * U + W
-        if self.clipped.any():
-            k = self.clipped
-            deviation = 1 / np.sqrt(self.precision[k])
-            low = stats.norm.cdf((self.observed[k] - predicted[k]) / deviation)
-            drawn = stats.norm.ppf(np.clip(low + rng.random(low.shape) * (1 - low), 1e-9, 1 - 1e-9))
-            self.y[k] = np.maximum(predicted[k] + deviation * drawn, self.observed[k])
-        relative = ((self.y - predicted) / (self.observed + SHADE)) ** 2
-        self.weight = rng.gamma(0.5 * (NU + 3), 1 / (0.5 * (NU + relative.sum(1) / self.eta**2)))
+        """New eta and lambda, given the points' colours; from rows that are not saturated, for the others say little of either."""
+        rest = ~self.clipped
+        relative = (((self.observed - colour[self.rows.point] * U - W) / (self.observed + SHADE)) ** 2)[rest]
+        self.weight[rest] = rng.gamma(0.5 * (NU + 3), 1 / (0.5 * (NU + relative.sum(1) / self.eta**2)))
         freedom = relative.size / self.kappa
-        scale = (self.weight[:, None] * relative).sum() / self.kappa
+        scale = (self.weight[rest, None] * relative).sum() / self.kappa
         self.eta = float(np.sqrt((0.5 * scale + 1e-4) / rng.gamma(0.5 * freedom + 1.0)))
 
 

@@ -23,7 +23,7 @@ from .evidence import Search
 from .likelihood import Lobes, Photos, Theta, channel_effect, design_effect
 from .problem import Problem, generators
 from .refine import fill, gather, splat
-from .region_moves import METALLIC, draw_gauge, draw_regions, propose_spread
+from .region_moves import METALLIC, draw_gauge, draw_offsets, draw_regions, propose_spread
 from .regions import group, texel_regions
 from .turns import LAST, Turns
 
@@ -80,16 +80,30 @@ class Chain(Turns):
         """Measure how many rows stand for one independent one, from the residuals under this light."""
         photos, rows = self.photos, self.photos.rows
         colour, U, W = self.colour(light)
-        residual = (photos.y - colour[rows.point] * U - W) * np.sqrt(photos.precision)
+        residual = (photos.observed - colour[rows.point] * U - W) * np.sqrt(photos.counted(U, W, self.theta))
         neighbours = design_effect(rows, photos.transport.position, self.obs.view[rows.observation], residual.mean(1))
         photos.kappa = channel_effect(residual) * neighbours
 
     def search(self) -> np.ndarray:
         """Materials to start from, by evidence; the light (M', 3) that goes with them."""
-        search = Search(self.photos, self.gaussian, self.log_scale, self.settings.search_points, self.rng)
+        self.searcher = search = Search(self.photos, self.gaussian, self.log_scale, self.settings.search_points, self.rng)
         self.theta, self.coefficients = search.run(self.theta, self.settings.search_sweeps, self.rng)
         coded = self.gaussian_code()
         return coded.light(coded.code(self.coefficients))
+
+    def before_light(self, mean, sigma, c):
+        import os
+        if not int(os.environ.get("BEFORE", "1")):
+            return c
+        s = self.searcher
+        s.about(self.prior, self.log_scale, mean, sigma)
+        if os.environ.get("NOISE"):
+            s.noise(self.photos.eta, self.photos.kappa)
+        was = self.theta
+        self.theta, c = s.turn(self.theta, c, self.rng)
+        print("sigma", round(sigma, 3), "levels", was.level, self.theta.level, "m", was.m, self.theta.m, "mu", self.theta.mu.mean(1).round(3), flush=True)
+        self.photos.set(self.theta)
+        return c
 
     def colour(self, light: np.ndarray):
         U, W = self.photos.predict(light)
@@ -100,6 +114,9 @@ class Chain(Turns):
         nodes = self.photos.nodes(light, self.theta)
         lobes = self.photos.lobes.apply(light, nodes)
         self.theta = draw_regions(self.photos, lobes, self.theta, steps, self.rng, self.width)
+        import os
+        if int(os.environ.get("OFFS", "0")):
+            draw_offsets(self.photos, lobes, self.theta, self.rng)
         with self.photos.row_by_row():
             self.theta = draw_regions(self.photos, lobes, self.theta, steps // 3, self.rng, self.spread_width, propose_spread)
             self.photos.set(self.theta)

@@ -13,6 +13,12 @@ import torch
 from ..envmap import solid_angles
 
 
+def pooled(T: torch.Tensor, rows: int) -> torch.Tensor:
+    """Operators (..., M) on a light as operators on one of `rows` rows, the same all over each of its pixels."""
+    h = round((T.shape[-1] / 2) ** 0.5)
+    return T.reshape(*T.shape[:-1], rows, h // rows, 2 * rows, h // rows).sum((-3, -1)).flatten(-2)
+
+
 class Pool:
     """Blocks of f x f pixels of a light with `fine` rows make one of `coarse` rows; fine = f coarse."""
 

@@ -8,17 +8,20 @@ the scale are drawn, not optimised.
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import logsumexp
 
-from .likelihood import Photos, Theta, mix
+from .likelihood import METALLIC, Photos, Theta, mix
 from .problem import ALBEDO_MAX
 
-METALLIC = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 1.0])
 METALLIC_PRIOR = np.log(np.array([8, 4, 2, 1, 0.7, 0.5, 0.5, 0.5, 0.7, 1, 2, 4, 4]) / 28.9)     # things are metal or not
 DIELECTRIC, METAL = (np.log(0.3), 0.7), (np.log(0.6), 0.35)     # mean and width of log base colour, mean of channels; between them by metallic
 CHROMA = 0.35                               # width of log base colour between channels
 COMMON = 0.5                                # share of both variances that all regions of an object have in common
 TAIL = 3.0                                  # degrees of freedom of Student's t: black paint and dyes are far out
 TAU_PRIOR = (np.log(0.3), 0.7)
+OFFSETS = np.arange(-3, 4), np.array([-9, -6, -4, -2, 0, 2, 4, 6, 9])       # of a point from its region: roughness levels, steps of METALLIC
+WIDTHS = np.array([0.0, 0.7, 1.5, 3.0])     # of the discrete normal that offsets come from
+WIDTH_PRIOR = np.log([0.5, 0.2, 0.2, 0.1])      # a region is of one material unless its points say otherwise
 SCALE_PRIOR = 1.5                           # deviation of the log light scale about the level that fits a grey object
 
 
@@ -75,8 +78,8 @@ def propose(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarr
 
 def rows_of(lobes: np.ndarray, photos: Photos, theta: Theta) -> tuple[np.ndarray, np.ndarray]:
     """U, W (n, 3) from the lobes under the light (levels, 4, n, 3)."""
-    rows = np.arange(lobes.shape[2])
-    return mix(lobes[theta.level[photos.row_region], :, rows].transpose(1, 0, 2), theta.m[photos.row_region][:, None])
+    level, m = (v[photos.rows.point] for v in photos.point_materials(theta))
+    return mix(lobes[level, :, np.arange(lobes.shape[2])].transpose(1, 0, 2), m[:, None])
 
 
 def draw_regions(photos: Photos, lobes: np.ndarray, theta: Theta, steps: int, rng, width: np.ndarray, proposal=propose) -> Theta:
@@ -92,6 +95,34 @@ def draw_regions(photos: Photos, lobes: np.ndarray, theta: Theta, steps: int, rn
         width *= np.exp(0.05 * (yes - 0.3))
         np.clip(width, 0.003, 0.5, out=width)
     return theta
+
+
+def draw_offsets(photos: Photos, lobes: np.ndarray, theta: Theta, rng) -> None:
+    """How far every point's roughness level and metallic lie from its region's, in place: discrete normals of a width that each
+    region draws for itself, 0 among them, with its points' offsets summed out.
+    """
+    for kind, steps in enumerate(OFFSETS):
+        table = []
+        for step in steps:
+            photos.offset[kind] = step
+            table.append(photos.point_values(*rows_of(lobes, photos, theta), theta))
+        for r in range(len(theta.m)):
+            mine = np.flatnonzero(photos.region == r)
+            values = np.stack(table, 1)[mine][None] + log_offset(steps)[:, None]         # (widths, points, steps)
+            width = categorical(logsumexp(values, 2).sum(1)[None] + WIDTH_PRIOR, rng)[0]
+            photos.offset[kind, mine] = steps[categorical(values[width], rng)]
+
+
+def log_offset(steps: np.ndarray) -> np.ndarray:
+    """Log-probability of every offset (widths, steps)."""
+    with np.errstate(divide="ignore"):
+        value = np.where(steps == 0, 0.0, -0.5 * (steps / np.maximum(WIDTHS[:, None], 1e-9)) ** 2)
+    return value - logsumexp(value, 1, keepdims=True)
+
+
+def categorical(log_odds: np.ndarray, rng) -> np.ndarray:
+    """An index per row of log odds (n, k)."""
+    return (log_odds + rng.gumbel(size=log_odds.shape)).argmax(1)
 
 
 def accepted(theta: Theta, new: Theta, gain: np.ndarray, rng) -> np.ndarray:

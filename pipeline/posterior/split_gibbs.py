@@ -22,8 +22,9 @@ from scipy.linalg.blas import ssyrk
 
 NEWTON_STEPS = 12       # at most; fewer when a step gains less than NEWTON_GAIN per unknown: draws vary by 1/2 per unknown
 NEWTON_GAIN = 0.01
+CONTRACTION = 0.5       # a step with an old curvature gains at most so much of the one before, or the curvature is made anew
 DAMPING, DAMPING_LIMIT = 6.0, 1e10      # factor between attempts at a step; where they end
-SLICES = 6
+SLICES = 2
 
 
 class LightLikelihood(Protocol):
@@ -33,6 +34,9 @@ class LightLikelihood(Protocol):
 
     def residual(self, z: torch.Tensor) -> torch.Tensor:
         """r (3, n) of `expansion` alone."""
+
+    def adjoint(self, z: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
+        """E^T J^T w of `expansion`, like z, for w (3, n)."""
 
     def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, object]:
         """J (3, n, k), r (3, n) and a fold E (pooling.py): log-likelihood of z + d ~ -|r - J E d|^2 / 2, channel by channel."""
@@ -94,24 +98,51 @@ class Curvature:
 class Laplace:
     """Gaussian N(mode, A^-1) near the peak of likelihood x N(z; x, rho^2), channels independent; z is where to begin.
 
-    `noise` (3, n): whitened data are moved by it.
+    `noise` (3, n): whitened data are moved by it. `known`: another peak nearby, whose A will do as long as steps with it converge.
     """
 
-    def __init__(self, likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, noise: torch.Tensor | None = None):
+    def __init__(self, likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, noise: torch.Tensor | None = None,
+                 known: "Laplace | None" = None):
         self.mode, self.rho, self.damping = z.clone(), rho, 0.0
         moved = lambda t: 0.0 if noise is None else float((noise * likelihood.residual(t)).sum())
         target = lambda t: likelihood.value(t) - moved(t) - 0.5 * float((t - x).square().sum()) / rho**2
-        now = target(self.mode)
+        data = lambda r: r if noise is None else r + noise
+        slope = lambda pulled: pulled - (self.mode - x) / rho**2
+        pulled = lambda: slope(likelihood.adjoint(self.mode, data(likelihood.residual(self.mode))))
+        now, enough = target(self.mode), NEWTON_GAIN * z.numel()
+        if known:
+            self.J, self.fold, self.curvature = known.J, known.fold, known.curvature
+            settled, now = self.chords(target, now, pulled, enough)
+            if settled:
+                return
         for _ in range(NEWTON_STEPS):
             self.J, r, self.fold = likelihood.expansion(self.mode)
             self.damping = self.damping / DAMPING if self.damping > 1 else 0.0
             self.curvature = [Curvature(J, self.width) for J in self.J]
-            r = r if noise is None else r + noise
-            slope = self.fold.up(torch.einsum("cnk,cn->ck", self.J, r)) - (self.mode - x) / rho**2
-            gain, now = self.climb(target, now, slope)
-            if gain == 0 or (gain < NEWTON_GAIN * z.numel() and self.damping <= 1):
+            gain, now = self.climb(target, now, slope(likelihood.adjoint(self.mode, data(r))))
+            if gain == 0 or (gain < enough and self.damping <= 1):
                 break
+            if self.damping == 0:
+                settled, now = self.chords(target, now, pulled, enough)
+                if settled:
+                    break
         self.damp(0.0)
+
+    def chords(self, target, now: float, slope, enough: float) -> tuple[bool, float]:
+        """Newton steps with the A at hand, as long as each gains much less than the one before: whether they came to less than `enough`, and
+        the target there.
+        """
+        before = np.inf
+        while True:
+            step = self.solve(slope())
+            then = target(self.mode + step)
+            gain = then - now
+            if gain <= 0:
+                return -gain < enough, now
+            self.mode, now = self.mode + step, then
+            if gain < enough or gain > CONTRACTION * before:
+                return gain < enough, now
+            before = gain
 
     @property
     def width(self) -> float:
@@ -194,7 +225,7 @@ def draw_light(likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rh
     target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
     if afresh or target(z) < target(reference.mode) - z.numel():
         fresh = lambda shape: torch.randn(shape, generator=noise)
-        z = Laplace(likelihood, x + rho * fresh(x.shape), reference.mode, rho, fresh(reference.J.shape[:2])).mode
+        z = Laplace(likelihood, x + rho * fresh(x.shape), reference.mode, rho, fresh(reference.J.shape[:2]), known=reference).mode
     return elliptical_slice(z, target, reference, slices, rng, noise)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from ..config import Sample
+from ..prior.code import scale_of
 from ..prior.gaussian import GaussianPrior, translated
 from ..prior.sampling import reverse_diffusion
 from ..progress import Bar
@@ -33,6 +34,10 @@ class Turns:
         """The code after moves of all that is unknown beside the light and the mean colours; `shifts` says what it costs to move the code."""
         return code
 
+    def before_light(self, mean: torch.Tensor, sigma: float, c: torch.Tensor) -> torch.Tensor:
+        """Coefficients (1, K) to begin a smooth turn with, after moves of materials with the light integrated out."""
+        return c
+
     def light_turn(self, coded: Coded, about: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
         """Unknowns of the light's code drawn afresh about `about` together with the regions' colours; z is where to begin."""
         z = draw_light(coded, coded.centre(about), coded.join(z, self.theta), coded.width, SLICES, self.rng, self.noise, afresh=True)
@@ -50,8 +55,18 @@ class Turns:
         coded = self.gaussian_code()
         for _ in range(count):
             self.coefficients = self.light_turn(coded, torch.zeros(1, coded.size), self.coefficients)
-            self.after_light(coded, coded.code(self.coefficients))
+            code = self.of_scale_one(self.gaussian, self.after_light(coded, coded.code(self.coefficients)))
+            self.coefficients, coded.log_scale = coded.coefficients(code), self.log_scale
         return coded.code(self.coefficients)
+
+    def of_scale_one(self, prior, code: torch.Tensor) -> torch.Tensor:
+        """A code (3, M) for the same radiance as all maps were trained on, of scale one (prior/code.py); log_scale takes what was over.
+
+        The photos move the code's mean: a scale that stood still would leave it where the network has never been, and be pulled back.
+        """
+        level = float(np.log(scale_of(prior.decode(code.reshape(1, 3, prior.height, prior.width))[0].permute(1, 2, 0).numpy())))
+        self.log_scale += level
+        return code - level / prior.log_spread
 
     def handed_over(self, code: torch.Tensor) -> torch.Tensor:
         """A code of the Gaussian prior (3, m) as one of the diffusion prior (3, M)."""
@@ -67,8 +82,9 @@ class Turns:
             noisy = (code + sigma * torch.randn(code.shape, generator=self.noise)).reshape(1, 3, prior.height, prior.width)
             mean = prior.denoise(noisy, sigma, self.settings.label).reshape(3, -1)
             coded = ModeCode(self.photos, prior, self.log_scale, modes, mean, sigma)
-            c = self.light_turn(coded, torch.zeros(1, coded.size), coded.coefficients(code))
-            code = self.after_light(coded, coded.code(c))
+            c = self.before_light(mean, sigma, coded.coefficients(code))
+            c = self.light_turn(coded, torch.zeros(1, coded.size), c)
+            code = self.of_scale_one(prior, self.after_light(coded, coded.code(c)))
             bar.step(f"error {100 * self.photos.eta:.1f} %")
         return code
 
@@ -85,12 +101,15 @@ class Turns:
             cost = lambda d: float(-0.5 * z.shape[1] * ((gap + d / prior.log_spread) ** 2 - gap**2).sum() / rho**2)
             z = self.after_light(coded, z, cost)
             x = reverse_diffusion(prior, z.reshape(shape), rho, prior_steps(rho), self.settings.label, self.rng, self.noise).reshape(3, -1)
+            was = self.log_scale
+            x = self.of_scale_one(prior, x)
+            z, coded.log_scale = z - (self.log_scale - was) / prior.log_spread, self.log_scale
             bar.step(f"error {100 * self.photos.eta:.1f} %")
         return x
 
     def diffusion_turns(self, code: torch.Tensor, title: str) -> torch.Tensor:
         """Smooth turns, then split ones: a code (3, M) to start from in, a draw out."""
-        sigmas = np.geomspace(SMOOTH, FIRST, self.settings.smooth)
+        sigmas = np.geomspace(float(__import__("os").environ.get("SM", SMOOTH)), FIRST, self.settings.smooth)
         rhos = widths(self.settings.levels, FIRST, LAST, self.settings.stay)
         with Bar(title, len(sigmas) + len(rhos)) as bar:
             return self.split_turns(self.smooth_turns(code, sigmas, bar), rhos, bar)

@@ -13,15 +13,16 @@ from .network import LABELS, Denoiser
 class DiffusionPrior:
     """Denoiser over codes of (height, 2 height) maps; see the package docstring for the protocol."""
 
-    def __init__(self, model: Denoiser, code: Code, height: int):
+    def __init__(self, model: Denoiser, code: Code, height: int, shares: dict[str, float]):
         self.model, self.code, self.height, self.width = model.eval().requires_grad_(False), code, height, 2 * height
+        self.shares = shares                                # of the classes among the measured maps trained on
 
     @classmethod
     def from_tensors(cls, tensors: dict, facts: dict) -> "DiffusionPrior":
         """From what pipeline.prior.export wrote."""
         model = Denoiser(**facts["network"])
         model.load_state_dict(tensors)
-        return cls(model, Code(facts["mean"], facts["std"]), facts["height"])
+        return cls(model, Code(facts["mean"], facts["std"]), facts["height"], facts["shares"])
 
     @property
     def log_spread(self) -> float:
@@ -35,9 +36,10 @@ class DiffusionPrior:
             raise InputError(f"the prior has no class '{label}'", "sample.label", nearest(label, LABELS))
         return LABELS.index(label)
 
-    def denoise(self, x: torch.Tensor, sigma: float, label: str | None = None) -> torch.Tensor:
-        """E[x_0 | x_0 + sigma n = x] for codes (n, 3, h, w)."""
-        return self.model(x, torch.full((len(x),), float(sigma)), torch.full((len(x),), self.label_index(label)))
+    def denoise(self, x: torch.Tensor, sigma: float, label: str | list[str] | None = None) -> torch.Tensor:
+        """E[x_0 | x_0 + sigma n = x] for codes (n, 3, h, w), of one class or of one for each."""
+        labels = label if isinstance(label, list) else [label] * len(x)
+        return self.model(x, torch.full((len(x),), float(sigma)), torch.tensor([self.label_index(v) for v in labels]))
 
     def decode(self, x: torch.Tensor) -> torch.Tensor:
         return self.code.decode(x)

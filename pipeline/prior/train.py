@@ -112,7 +112,9 @@ class Run:
 
 def facts_of(config: Training, data: Data) -> dict:
     """What the weight files say of themselves."""
-    return {"network": config.network.model_dump(), "height": config.height, "mean": data.mean, "std": data.std,
+    labels = data.labels[~data.made & ~data.held & (data.labels < len(LABELS))]
+    return {"shares": {name: float((labels == k).mean()) for k, name in enumerate(LABELS) if (labels == k).any()},
+            "network": config.network.model_dump(), "height": config.height, "mean": data.mean, "std": data.std,
             "made_maps": int(data.made.sum()), "real_maps": int((~data.made & ~data.held).sum()), "held_out_maps": int(data.held.sum())}
 
 
