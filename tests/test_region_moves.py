@@ -3,10 +3,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pipeline.posterior.likelihood import Theta
+from pipeline.posterior.likelihood import Photos, Theta
 from pipeline.posterior.ours import BLOCKS, block_shares
 from pipeline.posterior.regions import group, texel_regions
-from pipeline.posterior.region_moves import CHROMA, COMMON, DIELECTRIC, METAL, METALLIC, METALLIC_PRIOR, TAIL, draw_regions
+from pipeline.posterior.region_moves import CHROMA, COMMON, DIELECTRIC, METAL, METALLIC, METALLIC_PRIOR, TAIL, draw_offsets, draw_regions
 
 SILENT = SimpleNamespace(region=np.array([0, 1]), rows=SimpleNamespace(point=np.array([0, 1])), point_materials=lambda t: (t.level, t.m),
                          point_values=lambda U, W, t: np.zeros(2))
@@ -63,3 +63,42 @@ def test_regions_follow_the_base_colour_and_not_its_shade():
     found = texel_regions(texture, centers, 32)
     expected = [label[which == k][0] for k in (0, 1, 2)]
     assert [np.median(found[:, a:b]) for a, b in ((0, 7), (9, 15), (17, 32))] == expected
+
+
+class Two:
+    """Two regions of 60 points; a point's log-likelihood falls with the distance of its level from a target, or says nothing."""
+
+    def __init__(self, targets, sharpness):
+        self.region, self.offset = np.repeat([0, 1], 60), np.zeros((2, 120), int)
+        self.targets, self.sharpness = targets, sharpness
+        self.rows, self.lobes = SimpleNamespace(point=np.arange(120)), SimpleNamespace(levels=range(8))
+
+    point_materials = Photos.point_materials
+
+    def point_values(self, U, W, theta):
+        return -0.5 * self.sharpness * (self.point_materials(theta)[0] - self.targets) ** 2
+
+
+def drawn_offsets(targets, sharpness) -> np.ndarray:
+    photos, theta = Two(targets, sharpness), Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([4, 4]), np.zeros(2))
+    draw_offsets(photos, np.zeros((8, 4, 120, 3)), theta, np.random.default_rng(0))
+    return photos.offset
+
+
+def test_points_leave_their_region_where_the_photos_say_so():
+    """One region of one level, one with every other point two levels up: found point by point; the silent metallic stays as drawn from the prior."""
+    targets = np.full(120, 4.0)
+    targets[60::2] += 2
+    offset = drawn_offsets(targets, 10.0)
+    assert (offset[0, :60] == 0).all()
+    assert np.abs(offset[0, 60:] - (targets[60:] - 4)).mean() < 0.1
+
+
+def test_points_stay_with_their_region_where_the_photos_say_nothing():
+    """Then the width of a region's points comes from its prior: of 200 regions, half have none."""
+    rng, alone = np.random.default_rng(1), []
+    for _ in range(100):
+        photos, theta = Two(np.zeros(120), 0.0), Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([4, 4]), np.zeros(2))
+        draw_offsets(photos, np.zeros((8, 4, 120, 3)), theta, rng)
+        alone += [(photos.offset[0][photos.region == r] == 0).all() for r in (0, 1)]
+    assert abs(np.mean(alone) - 0.5) < 3 * (0.25 / 200) ** 0.5

@@ -157,6 +157,28 @@ def test_whitened_rows_have_the_likelihoods_curvature(photos, scene):
     photos.set(kept)
 
 
+def test_saturated_rows_are_lower_bounds(photos, scene):
+    """Colours known: under a light too dark they count like any row; under one so bright that they are explained they say nothing, nor does
+    their slope.
+    """
+    light, kept, theta = scene[2].reshape(-1, 3).astype(float), photos.theta, photos.theta.copy()
+    theta.tau[:] = 1e-6
+    photos.set(theta)
+    plain = {factor: (photos.value(factor * light), photos.residual(factor * light)) for factor in (1e-3, 1e3)}
+    photos.clipped = np.arange(len(photos.observed)) % 3 == 0
+    assert np.isclose(photos.value(1e-3 * light), plain[1e-3][0]) and torch.allclose(photos.residual(1e-3 * light), plain[1e-3][1])
+    assert (photos.residual(1e3 * light)[:, photos.clipped] == 0).all() and (photos.residual(1e3 * light)[:, ~photos.clipped] != 0).all()
+    before, ones = photos.value(1e3 * light), torch.ones(3, len(photos.observed))
+    slope = photos.adjoint(1e3 * light, ones)[0]
+    only = photos.adjoint(1e3 * light, ones * torch.from_numpy(~photos.clipped))[0]
+    assert torch.allclose(slope, only)
+    weight, photos.weight = photos.weight, np.where(photos.clipped, photos.weight * 2, photos.weight)
+    assert not np.isclose(photos.value(1e-3 * light), plain[1e-3][0])
+    assert abs(photos.value(1e3 * light) - before) < 1e-3 * abs(before)      # the determinant alone
+    photos.clipped, photos.weight = np.zeros(len(weight), bool), weight
+    photos.set(kept)
+
+
 def test_drawn_colours_and_noise_recover_the_truth(photos, scene):
     """Rows made from known colours and noise: colours within error bars, eta within 10 %."""
     rng, light = np.random.default_rng(0), scene[2].reshape(-1, 3).astype(float)

@@ -19,7 +19,7 @@ import torch
 
 from ..prior.gaussian import GaussianPrior
 from ..transport import Rows
-from .coded import COMPONENTS, ModeCode, Modes
+from .coded import ModeCode, Modes
 from .likelihood import Photos, Theta
 from .pooling import pooled
 from .region_moves import METALLIC, log_prior
@@ -27,7 +27,8 @@ from .split_gibbs import cholesky
 
 ROWS = 16               # of the light: the modes are no finer
 ERROR, THINNING = 0.1, 3.0      # relative error, and rows per independent one, assumed during the search
-LIGHT_FIRST = 3         # steps of the light at the fit's materials
+LIGHT_FIRST = 3         # steps of the light before materials are drawn
+SEARCH_COMPONENTS = 200 # modes of the Gaussian prior, of which coded.COMPONENTS are the most
 CANDIDATES = METALLIC[[0, 4, 8, 12]]
 
 
@@ -61,18 +62,8 @@ class Search:
         for r in range(photos.region.max() + 1):
             mine = rng.permutation(np.flatnonzero(photos.region == r))
             self.parts.append(subset(photos, np.sort(mine[:max(8, round(share * len(mine)))])))      # small regions have a say too
-        self.gaussian = gaussian
-        self.about(gaussian, log_scale, gaussian.flat_mean)
-
-    def about(self, prior, log_scale: float, mean: torch.Tensor, sigma: float = np.inf) -> ModeCode:
-        """From now on lights are codes of `prior` about `mean`, seen through noise sigma (coded.ModeCode)."""
-        modes = Modes(self.gaussian, prior, COMPONENTS, self.parts[0].transport.h)
-        self.coded = ModeCode(self.parts[0], prior, log_scale, modes, mean, sigma)
-        return self.coded
-
-    def noise(self, eta: float, kappa: float) -> None:
-        for part in self.parts:
-            part.eta, part.kappa = eta, kappa
+        modes = Modes(gaussian, gaussian, SEARCH_COMPONENTS, self.parts[0].transport.h)
+        self.coded = ModeCode(self.parts[0], gaussian, log_scale, modes, gaussian.flat_mean)
 
     def light(self, c: torch.Tensor) -> np.ndarray:
         """What the operator acts on (M', 3), of coefficients (K,)."""
@@ -80,7 +71,7 @@ class Search:
 
     def linear(self, c: torch.Tensor) -> tuple[np.ndarray, torch.Tensor]:
         """The light (M', 3) at c and its change per mode (3, K, M')."""
-        return self.light(c), self.coded.modes.moved(self.coded.slopes(self.coded.code(c[None]))[1]) * self.coded.keep[:, None]
+        return self.light(c), self.coded.modes.moved(self.coded.slopes(self.coded.code(c[None]))[1])
 
     def piece(self, r: int, theta: Theta, light: np.ndarray, moved: torch.Tensor) -> Piece:
         """Region r with materials theta, its colour fitted to this light."""
@@ -97,15 +88,11 @@ class Search:
         at = self.linear(c)
         return [self.piece(r, theta, *at) for r, theta in enumerate(thetas)], at
 
-    def draw_material(self, group: list[int], pieces: list[Piece], at: tuple, c: torch.Tensor, rng, near: bool = False) -> tuple[list[Piece], torch.Tensor]:
+    def draw_material(self, group: list[int], pieces: list[Piece], at: tuple, c: torch.Tensor, rng) -> tuple[list[Piece], torch.Tensor]:
         """One roughness and metallic for all regions of `group`, or what they have, by evidence: all pieces, and the light's step
         that goes with them (K,). at = linear(c).
         """
-        levels = range(len(self.parts[0].lobes.levels))
-        choices = [(level, m) for level in levels for m in CANDIDATES]
-        if near:
-            have = pieces[group[0]].theta
-            choices = [(level, have.m[0]) for level in levels if abs(level - have.level[0]) < 3] + [(have.level[0], m) for m in CANDIDATES]
+        choices = [(level, m) for level in range(len(self.parts[0].lobes.levels)) for m in CANDIDATES]
         changed = lambda choice: [self.piece(r, p.theta.made_of(*choice), *at) if r in group else p for r, p in enumerate(pieces)]
         found = []
         for candidate in [pieces] + [changed(choice) for choice in choices]:
@@ -116,25 +103,49 @@ class Search:
         odds = np.exp(values - values.max())
         return found[rng.choice(len(found), p=odds / odds.sum())][1:]
 
-    def turn(self, theta: Theta, c: torch.Tensor, rng) -> tuple[Theta, torch.Tensor]:
-        """One sweep over the regions from what they have and coefficients c (1, K), near candidates only."""
-        c = c[0]
-        pieces, at = self.pieces([theta.of([r]) for r in range(len(self.parts))], c)
-        for r in rng.permutation(len(self.parts)):
-            pieces, step = self.draw_material([r], pieces, at, c, rng, near=True)
+    def settled(self, pieces: list[Piece], at: tuple, c: torch.Tensor) -> tuple[list[Piece], tuple, torch.Tensor]:
+        """Pieces after a few steps of the light alone; `at` and coefficients (K,) there."""
+        for _ in range(LIGHT_FIRST):
+            c = damped(c, light_step(pieces, c)[0])
+            pieces, at = self.pieces([p.theta for p in pieces], c)
+        return pieces, at, c
+
+    def sweep(self, order: list[list[int]], theta: Theta, c: torch.Tensor, rng) -> tuple[Theta, torch.Tensor]:
+        """Theta and coefficients (K,) after a draw for every group of `order`."""
+        pieces, at, c = self.settled(*self.pieces([theta.of([r]) for r in range(len(self.parts))], c), c)
+        for group in order:
+            pieces, step = self.draw_material(group, pieces, at, c, rng)
             c = damped(c, step)
             pieces, at = self.pieces([p.theta for p in pieces], c)
-        return joined(pieces), c[None]
+        return joined(pieces), c
+
+    def count_saturated(self, weight: float) -> None:
+        """How much saturated rows count from now on."""
+        for part in self.parts:
+            part.weight = np.where(part.clipped, weight, 1.0)
+
+    def evidence(self, theta: Theta, c: torch.Tensor) -> float:
+        """Log-evidence of materials, by Laplace's method where the light settles from c (K,)."""
+        pieces, _, c = self.settled(*self.pieces([theta.of([r]) for r in range(len(self.parts))], c), c)
+        return light_step(pieces, c)[1] + sum(p.value for p in pieces) + log_prior(theta)
 
     def run(self, theta: Theta, sweeps: int, rng: np.random.Generator) -> tuple[Theta, torch.Tensor]:
-        """Theta of all regions and the light's coefficients (1, K) after `sweeps` region by region; between them all regions at once."""
-        c, count = torch.zeros(self.coded.size), len(self.parts)
-        pieces, at = self.pieces([theta.of([r]) for r in range(count)], c)
-        for group in [None] * LIGHT_FIRST + groups(count, sweeps, rng):       # None: the light alone, at the fit's materials
-            pieces, step = self.draw_material(group, pieces, at, c, rng) if group else (pieces, light_step(pieces, c)[0])
-            c = damped(c, step)
-            pieces, at = self.pieces([p.theta for p in pieces], c)
-        return joined(pieces), c[None]
+        """Theta of all regions and the light's coefficients (1, K): from two starts, one of which hardly looks at saturated rows, the one
+        drawn by evidence, then `sweeps` over all regions at once and each alone.
+
+        From a flat light every saturated row is too dark, and materials that spread highlights explain them; without those rows, lamps go
+        unseen and materials that sharpen them explain the rest. Either start may end at a peak far below the other's.
+        """
+        count, found = len(self.parts), []
+        order = lambda: [list(range(count))] + [[r] for r in rng.permutation(count)]
+        for weight in (0.05, 1.0):
+            self.count_saturated(weight)
+            found.append(self.sweep(order(), theta, torch.zeros(self.coded.size), rng))
+        values = np.array([self.evidence(*start) for start in found])
+        theta, c = found[int((values + rng.gumbel(size=len(values))).argmax())]
+        for _ in range(sweeps):
+            theta, c = self.sweep(order(), theta, c, rng)
+        return theta, c[None]
 
 
 def joined(pieces: list[Piece]) -> Theta:
@@ -148,15 +159,6 @@ def light_step(pieces: list[Piece], c: torch.Tensor) -> tuple[torch.Tensor, floa
     slope = sum(p.b for p in pieces) - c
     step = torch.cholesky_solve(slope[:, None], factor)[:, 0]
     return step, 0.5 * float(slope @ step) - float(factor.diagonal().log().sum())
-
-
-def groups(count: int, sweeps: int, rng: np.random.Generator) -> list[list[int]]:
-    """Which regions move together, in order: each alone, in a new order every sweep; all at once between sweeps."""
-    out = []
-    for k in range(sweeps):
-        out += [list(range(count))] if k else []
-        out += [[r] for r in rng.permutation(count)]
-    return out
 
 
 def shared(pieces: list[Piece], choices: int) -> float:

@@ -263,11 +263,13 @@ class Photos:
 
     def draw_noise(self, U, W, colour: np.ndarray, rng) -> None:
         """New eta and lambda, given the points' colours; from rows that are not saturated, for the others say little of either."""
+        predicted = colour[self.rows.point] * U + W
+        free = self.clipped[:, None] & (predicted >= self.observed)
+        relative = np.where(free, 0, ((self.observed - predicted) / (self.observed + SHADE)) ** 2)
+        self.weight = rng.gamma(0.5 * (NU + (~free).sum(1)), 1 / (0.5 * (NU + relative.sum(1) / self.eta**2)))
         rest = ~self.clipped
-        relative = (((self.observed - colour[self.rows.point] * U - W) / (self.observed + SHADE)) ** 2)[rest]
-        self.weight[rest] = rng.gamma(0.5 * (NU + 3), 1 / (0.5 * (NU + relative.sum(1) / self.eta**2)))
-        freedom = relative.size / self.kappa
-        scale = (self.weight[rest, None] * relative).sum() / self.kappa
+        freedom = relative[rest].size / self.kappa
+        scale = (self.weight[rest, None] * relative[rest]).sum() / self.kappa
         self.eta = float(np.sqrt((0.5 * scale + 1e-4) / rng.gamma(0.5 * freedom + 1.0)))
 
 

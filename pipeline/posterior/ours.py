@@ -28,8 +28,10 @@ from .regions import group, texel_regions
 from .turns import LAST, Turns
 
 GAUSSIAN_TURNS = 3          # every row counted in full: what they leave over shows the noise's correlation
+THINNED_TURNS = 1           # then with the design effect: the last turns that move the light's level freely, so with the errors it has
 WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
 BLOCKS, SHAPE = 12, 2.0     # pieces of surface that err together; of their gamma weights: half the variance of a full bootstrap, the draws' own adds to it
+SOFT = 64                   # of the texture's side: roughness and metallic of the points run into each other over as much
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
 
 
@@ -86,24 +88,11 @@ class Chain(Turns):
 
     def search(self) -> np.ndarray:
         """Materials to start from, by evidence; the light (M', 3) that goes with them."""
-        self.searcher = search = Search(self.photos, self.gaussian, self.log_scale, self.settings.search_points, self.rng)
-        self.theta, self.coefficients = search.run(self.theta, self.settings.search_sweeps, self.rng)
-        coded = self.gaussian_code()
-        return coded.light(coded.code(self.coefficients))
-
-    def before_light(self, mean, sigma, c):
-        import os
-        if not int(os.environ.get("BEFORE", "1")):
-            return c
-        s = self.searcher
-        s.about(self.prior, self.log_scale, mean, sigma)
-        if os.environ.get("NOISE"):
-            s.noise(self.photos.eta, self.photos.kappa)
-        was = self.theta
-        self.theta, c = s.turn(self.theta, c, self.rng)
-        print("sigma", round(sigma, 3), "levels", was.level, self.theta.level, "m", was.m, self.theta.m, "mu", self.theta.mu.mean(1).round(3), flush=True)
-        self.photos.set(self.theta)
-        return c
+        search = Search(self.photos, self.gaussian, self.log_scale, self.settings.search_points, self.rng)
+        self.theta, c = search.run(self.theta, self.settings.search_sweeps, self.rng)
+        code, coded = search.coded.code(c), self.gaussian_code()
+        self.coefficients = coded.coefficients(code)
+        return coded.light(code)
 
     def colour(self, light: np.ndarray):
         U, W = self.photos.predict(light)
@@ -114,21 +103,18 @@ class Chain(Turns):
         nodes = self.photos.nodes(light, self.theta)
         lobes = self.photos.lobes.apply(light, nodes)
         self.theta = draw_regions(self.photos, lobes, self.theta, steps, self.rng, self.width)
-        import os
-        if int(os.environ.get("OFFS", "0")):
-            draw_offsets(self.photos, lobes, self.theta, self.rng)
+        draw_offsets(self.photos, lobes, self.theta, self.rng)
         with self.photos.row_by_row():
             self.theta = draw_regions(self.photos, lobes, self.theta, steps // 3, self.rng, self.spread_width, propose_spread)
             self.photos.set(self.theta)
             colour, U, W = self.colour(light)
             self.photos.draw_noise(U, W, colour, self.rng)
 
-    def start(self, turns: int = 0) -> torch.Tensor:
+    def start(self, turns: int) -> torch.Tensor:
         """A draw under the Gaussian prior as a code (3, M) of the diffusion prior, after `turns` more with thinned rows."""
         code = self.turns_with_gaussian(GAUSSIAN_TURNS)
         self.thin(Coded(self.photos, self.gaussian, self.log_scale, 1.0).light(code))
-        code = self.turns_with_gaussian(turns) if turns else code
-        return self.handed_over(code)
+        return self.handed_over(self.turns_with_gaussian(turns))
 
     def after_light(self, coded: Coded, code: torch.Tensor, shifts=None) -> torch.Tensor:
         """Scale and materials given the light; the code, moved if `shifts` says what a move costs."""
@@ -145,18 +131,25 @@ class Chain(Turns):
     def run(self, seed: int) -> torch.Tensor:
         """All turns; the light's code (3, M)."""
         with torch.no_grad():
-            return self.diffusion_turns(self.start(), f"sample {seed}")
+            return self.diffusion_turns(self.start(THINNED_TURNS), f"sample {seed}")
 
     def maps(self, light: np.ndarray, size: int) -> dict:
-        """Texture maps: a drawn colour per point spread over its texels, roughness and metallic by region."""
+        """Texture maps: a drawn colour per point spread over its texels; roughness and metallic by region, and how far points lie from that
+        spread over their texels.
+        """
         colour, _, _ = self.colour(light)
-        rows = self.photos.rows
-        total = splat(self.obs.uv[rows.observation], np.concatenate([colour[rows.point], np.ones((len(rows.point), 1))], 1), size)
-        known = total[..., 3] > 0.05
-        base = fill(total[..., :3] / np.maximum(total[..., 3:], 1e-6), known)
-        levels = np.array(self.photos.lobes.levels)
-        return {"base_color": np.clip(cv2.GaussianBlur(base, (0, 0), 1.0), 0, 1).astype(np.float32),
-                "roughness": levels[self.theta.level][self.region_map].astype(np.float32), "metallic": self.theta.m[self.region_map].astype(np.float32)}
+        rows, region, levels = self.photos.rows, self.photos.region, np.array(self.photos.lobes.levels)
+        level, m = self.photos.point_materials(self.theta)
+        by_region = {"roughness": levels[self.theta.level], "metallic": self.theta.m}
+        beside = np.stack([levels[level] - by_region["roughness"][region], m - by_region["metallic"][region]], 1)
+        values = np.concatenate([colour, beside, np.ones((len(colour), 1))], 1)
+        total = splat(self.obs.uv[rows.observation], values[rows.point], size)
+        known = total[..., 5] > 0.05
+        spread = fill(total[..., :5] / np.maximum(total[..., 5:], 1e-6), known)
+        base, beside = cv2.GaussianBlur(spread[..., :3], (0, 0), 1.0), cv2.GaussianBlur(spread[..., 3:], (0, 0), max(size / SOFT, 0.5))
+        out = {name: by_region[name][self.region_map] + beside[..., k] for k, name in enumerate(by_region)}
+        out = {"base_color": np.clip(base, 0, 1), "roughness": np.clip(out["roughness"], levels[0], levels[-1]), "metallic": np.clip(out["metallic"], 0, 1)}
+        return {name: value.astype(np.float32) for name, value in out.items()}
 
     def result(self, code: torch.Tensor, start: Explanation) -> tuple[Explanation, dict]:
         """The draw as maps, and facts."""

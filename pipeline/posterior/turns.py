@@ -34,10 +34,6 @@ class Turns:
         """The code after moves of all that is unknown beside the light and the mean colours; `shifts` says what it costs to move the code."""
         return code
 
-    def before_light(self, mean: torch.Tensor, sigma: float, c: torch.Tensor) -> torch.Tensor:
-        """Coefficients (1, K) to begin a smooth turn with, after moves of materials with the light integrated out."""
-        return c
-
     def light_turn(self, coded: Coded, about: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
         """Unknowns of the light's code drawn afresh about `about` together with the regions' colours; z is where to begin."""
         z = draw_light(coded, coded.centre(about), coded.join(z, self.theta), coded.width, SLICES, self.rng, self.noise, afresh=True)
@@ -82,8 +78,7 @@ class Turns:
             noisy = (code + sigma * torch.randn(code.shape, generator=self.noise)).reshape(1, 3, prior.height, prior.width)
             mean = prior.denoise(noisy, sigma, self.settings.label).reshape(3, -1)
             coded = ModeCode(self.photos, prior, self.log_scale, modes, mean, sigma)
-            c = self.before_light(mean, sigma, coded.coefficients(code))
-            c = self.light_turn(coded, torch.zeros(1, coded.size), c)
+            c = self.light_turn(coded, torch.zeros(1, coded.size), coded.coefficients(code))
             code = self.of_scale_one(prior, self.after_light(coded, coded.code(c)))
             bar.step(f"error {100 * self.photos.eta:.1f} %")
         return code
@@ -109,7 +104,7 @@ class Turns:
 
     def diffusion_turns(self, code: torch.Tensor, title: str) -> torch.Tensor:
         """Smooth turns, then split ones: a code (3, M) to start from in, a draw out."""
-        sigmas = np.geomspace(float(__import__("os").environ.get("SM", SMOOTH)), FIRST, self.settings.smooth)
+        sigmas = np.geomspace(SMOOTH, FIRST, self.settings.smooth)
         rhos = widths(self.settings.levels, FIRST, LAST, self.settings.stay)
         with Bar(title, len(sigmas) + len(rhos)) as bar:
             return self.split_turns(self.smooth_turns(code, sigmas, bar), rhos, bar)
