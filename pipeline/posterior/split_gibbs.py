@@ -21,9 +21,11 @@ import torch
 from scipy.linalg.blas import ssyrk
 
 NEWTON_STEPS = 12       # at most; fewer when a step gains less than NEWTON_GAIN per unknown: draws vary by 1/2 per unknown
+PERTURBED_STEPS = 3     # at most from the peak to that of perturbed data
 NEWTON_GAIN = 0.01
 CONTRACTION = 0.5       # a step with an old curvature gains at most so much of the one before, or the curvature is made anew
 DAMPING, DAMPING_LIMIT = 6.0, 1e10      # factor between attempts at a step; where they end
+KINK = 1e5              # damping from which a small gain means an edge (a saturated row begins or ceases to count), not a curved valley
 SLICES = 2
 
 
@@ -115,12 +117,12 @@ class Laplace:
             settled, now = self.chords(target, now, pulled, enough)
             if settled:
                 return
-        for _ in range(NEWTON_STEPS):
+        for _ in range(NEWTON_STEPS if noise is None else PERTURBED_STEPS):
             self.J, r, self.fold = likelihood.expansion(self.mode)
             self.damping = self.damping / DAMPING if self.damping > 1 else 0.0
             self.curvature = [Curvature(J, self.width) for J in self.J]
             gain, now = self.climb(target, now, slope(likelihood.adjoint(self.mode, data(r))))
-            if gain == 0 or (gain < enough and self.damping <= 1):
+            if gain == 0 or (gain < enough and not 1 < self.damping < KINK):
                 break
             if self.damping == 0:
                 settled, now = self.chords(target, now, pulled, enough)
