@@ -26,7 +26,7 @@ NEWTON_GAIN = 0.01
 CONTRACTION = 0.5       # a step with an old curvature gains at most so much of the one before, or the curvature is made anew
 DAMPING, DAMPING_LIMIT = 6.0, 1e10      # factor between attempts at a step; where they end
 KINK = 1e5              # damping from which a small gain means an edge (a saturated row begins or ceases to count), not a curved valley
-SLICES = 2
+SLICES = 6
 
 
 class LightLikelihood(Protocol):
