@@ -27,7 +27,7 @@ from pipeline.envmap import directions, sh_coefficients, solid_angles
 from pipeline.files import write_json
 from pipeline.images import luminance
 from pipeline.posterior.pooling import Whole
-from pipeline.posterior.split_gibbs import SLICES, draw_light, noise_gain, prior_steps, widths
+from pipeline.posterior.split_gibbs import SLICES, LightLikelihood, draw_light, noise_gain, prior_steps, widths
 from pipeline.prior import load_prior
 from pipeline.prior.sampling import FIRST_SIGMA, first_noise, reverse_diffusion
 from pipeline.progress import progress
@@ -38,7 +38,7 @@ ERROR = 0.1
 NAMES = [f"SH {k}" for k in range(9)] + [f"pixel {k}" for k in range(8)]
 
 
-class Observed:
+class Observed(LightLikelihood):
     """y = A L(z) + noise with standard deviation ERROR y, per channel (LightLikelihood)."""
 
     def __init__(self, prior, A: torch.Tensor, y: torch.Tensor):
@@ -96,7 +96,7 @@ def simulate(job: tuple) -> np.ndarray:
             z = x.reshape(3, -1)
             for rho in map(float, widths(levels, FIRST, LAST, 4)):
                 observed.gain = noise_gain(prior.log_spread, rho)
-                z = draw_light(observed, x.reshape(3, -1), z, rho, SLICES, rng, noise, afresh=True)
+                z = draw_light(observed, x.reshape(3, -1), z, rho, SLICES, rng, noise)
                 x = reverse_diffusion(prior, z.reshape(shape), rho, prior_steps(rho), None, rng, noise)
             table.append(statistics(prior, x, pixels))
         return (np.array(table) < statistics(prior, truth, pixels)).sum(0)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from pipeline.posterior.pooling import Fold, Pool, Whole
-from pipeline.posterior.split_gibbs import SLICES, Curvature, Laplace, draw_light, prior_steps, widths
+from pipeline.posterior.split_gibbs import SLICES, Curvature, Laplace, LightLikelihood, draw_light, prior_steps, widths
 from pipeline.prior.code import Code
 from pipeline.prior.gaussian import OPPONENT, GaussianPrior, spectra
 from pipeline.prior.sampling import reverse_diffusion
@@ -25,15 +25,7 @@ def dense(prior: GaussianPrior) -> torch.Tensor:
     return prior.filtered(torch.eye(size).reshape(size, 3, prior.height, prior.width), lambda v: v).reshape(size, size)
 
 
-class Adjoint:
-    """The adjoint a likelihood has by its own expansion."""
-
-    def adjoint(self, z, w):
-        J, _, fold = self.expansion(z)
-        return fold.up(torch.einsum("cnk,cn->ck", J, w))
-
-
-class Linear(Adjoint):
+class Linear(LightLikelihood):
     """y_c = J_c z_c + noise of deviation 1."""
 
     def __init__(self, J, y):
@@ -97,7 +89,7 @@ def test_curvature_solves_and_draws(n):
     assert float((torch.cov(draws.T) - torch.linalg.inv(A)).norm() / torch.linalg.inv(A).norm()) < 0.12
 
 
-class Pooled(Adjoint):
+class Pooled(LightLikelihood):
     """y = T P exp(z) + noise of deviation 1, the light pooled from 8 to 4 rows; one more unknown at the end, observed as it is."""
 
     def __init__(self, folded: bool):
@@ -147,7 +139,7 @@ def test_the_peak_is_found_from_afar():
     assert target(far.mode) > target(near.mode) - 20 and target(x) < target(near.mode) - 1e3
 
 
-class Bright(Adjoint):
+class Bright(LightLikelihood):
     """y = exp(z) + noise, one code per channel, known to 30 %: skewed in z, where the prior N(0, 1) has its say."""
     y = torch.tensor([[0.2], [1.0], [4.0]])
 
@@ -164,7 +156,7 @@ class Bright(Adjoint):
 def test_fresh_draws_have_the_posteriors_mean_and_spread():
     """Where the likelihood is not quadratic, begun far from the peak every time, against sums over a grid: to .2 deviations."""
     likelihood, rng, noise, x = Bright(), np.random.default_rng(0), torch.Generator().manual_seed(0), torch.zeros(3, 1)
-    draws = torch.stack([draw_light(likelihood, x, x - 4, 1.0, SLICES, rng, noise, afresh=True) for _ in range(600)])[:, :, 0].numpy()
+    draws = torch.stack([draw_light(likelihood, x, x - 4, 1.0, SLICES, rng, noise) for _ in range(600)])[:, :, 0].numpy()
     grid = np.linspace(-6, 4, 4001)[None]
     weight = np.exp(-0.5 * ((1 - np.exp(grid) / likelihood.y.numpy()) / 0.3) ** 2 - 0.5 * grid**2)
     weight /= weight.sum(1, keepdims=True)
@@ -179,7 +171,7 @@ def test_fresh_draws_of_many_unknowns_do_not_stay_at_the_peak():
     likelihood, rng, noise, x = Pooled(True), np.random.default_rng(0), torch.Generator().manual_seed(0), torch.zeros(3, 129)
     peak = Laplace(likelihood, x, x, 1.0).mode
     target = lambda z: likelihood.value(z) - 0.5 * float((z - x).square().sum())
-    drops = [target(peak) - target(draw_light(likelihood, x, peak, 1.0, 2, rng, noise, afresh=True)) for _ in range(20)]
+    drops = [target(peak) - target(draw_light(likelihood, x, peak, 1.0, 2, rng, noise)) for _ in range(20)]
     assert 0.65 < np.mean(drops) / (0.5 * 3 * 129) < 1.25
 
 
@@ -230,7 +222,7 @@ class TwoModes:
 
 def test_both_modes_with_their_weights():
     """A likelihood that prefers the upper mode 7 : 3 and says nothing else; weights within binomial error."""
-    class Tilt(Adjoint):
+    class Tilt(LightLikelihood):
         def value(self, z):
             return 0.5 * np.log(7 / 3) * float(z.mean())
 

@@ -13,7 +13,7 @@ import torch
 
 from ..prior.gaussian import GaussianPrior
 from .likelihood import Photos, Theta
-from .pooling import Fold, Pool, Whole
+from .pooling import Fold, Pool, Whole, pooled
 from .problem import ALBEDO_MAX
 from .region_moves import log_prior
 
@@ -149,9 +149,7 @@ class Modes:
 
     def along(self, code: torch.Tensor) -> torch.Tensor:
         """Adjoint of `around`'s sum, (K,), of (3, M)."""
-        fine = self.fine
-        shape = (3, fine.shape[0], fine.shape[1], fine.shape[2], fine.shape[3])
-        return torch.einsum("kcm,cm->k", self.B, code.reshape(shape).sum((2, 4)).reshape(3, -1))
+        return torch.einsum("kcm,cm->k", self.B, pooled(code, self.fine.shape[0]))
 
     def moved(self, g: torch.Tensor) -> torch.Tensor:
         """Change of the operator's light per mode, (3, K, M'), for slopes g (3, M)."""

@@ -20,15 +20,16 @@ import torch
 from ..prior.gaussian import GaussianPrior
 from ..transport import Rows
 from .coded import ModeCode, Modes
-from .likelihood import Photos, Theta
+from .likelihood import METALLIC, Photos, Theta
 from .pooling import pooled
-from .region_moves import METALLIC, log_prior
+from .region_moves import categorical, log_prior
 from .split_gibbs import cholesky
 
 ROWS = 16               # of the light: the modes are no finer
 ERROR, THINNING = 0.1, 3.0      # relative error, and rows per independent one, assumed during the search
 LIGHT_FIRST = 3         # steps of the light before materials are drawn
-SEARCH_COMPONENTS = 200 # modes of the Gaussian prior, of which coded.COMPONENTS are the most
+SEARCH_COMPONENTS = 200 # leading modes of the Gaussian prior
+SATURATED = 0.05, 1.0   # weights of saturated rows in the two starts
 CANDIDATES = METALLIC[[0, 4, 8, 12]]
 
 
@@ -99,12 +100,11 @@ class Search:
             step, gain = light_step(candidate, c)
             prior = log_prior(joined(candidate)) + shared(candidate, len(choices))
             found.append((gain + sum(p.value for p in candidate) + prior, candidate, step))
-        values = np.array([v for v, _, _ in found])
-        odds = np.exp(values - values.max())
-        return found[rng.choice(len(found), p=odds / odds.sum())][1:]
+        return found[categorical(np.array([[v for v, _, _ in found]]), rng)[0]][1:]
 
-    def settled(self, pieces: list[Piece], at: tuple, c: torch.Tensor) -> tuple[list[Piece], tuple, torch.Tensor]:
-        """Pieces after a few steps of the light alone; `at` and coefficients (K,) there."""
+    def settled(self, theta: Theta, c: torch.Tensor) -> tuple[list[Piece], tuple, torch.Tensor]:
+        """Pieces of theta (of all regions) after a few steps of the light alone; `at` and coefficients (K,) there."""
+        pieces, at = self.pieces([theta.of([r]) for r in range(len(self.parts))], c)
         for _ in range(LIGHT_FIRST):
             c = damped(c, light_step(pieces, c)[0])
             pieces, at = self.pieces([p.theta for p in pieces], c)
@@ -112,7 +112,7 @@ class Search:
 
     def sweep(self, order: list[list[int]], theta: Theta, c: torch.Tensor, rng) -> tuple[Theta, torch.Tensor]:
         """Theta and coefficients (K,) after a draw for every group of `order`."""
-        pieces, at, c = self.settled(*self.pieces([theta.of([r]) for r in range(len(self.parts))], c), c)
+        pieces, at, c = self.settled(theta, c)
         for group in order:
             pieces, step = self.draw_material(group, pieces, at, c, rng)
             c = damped(c, step)
@@ -126,7 +126,7 @@ class Search:
 
     def evidence(self, theta: Theta, c: torch.Tensor) -> float:
         """Log-evidence of materials, by Laplace's method where the light settles from c (K,)."""
-        pieces, _, c = self.settled(*self.pieces([theta.of([r]) for r in range(len(self.parts))], c), c)
+        pieces, _, c = self.settled(theta, c)
         return light_step(pieces, c)[1] + sum(p.value for p in pieces) + log_prior(theta)
 
     def run(self, theta: Theta, sweeps: int, rng: np.random.Generator) -> tuple[Theta, torch.Tensor]:
@@ -138,11 +138,10 @@ class Search:
         """
         count, found = len(self.parts), []
         order = lambda: [list(range(count))] + [[r] for r in rng.permutation(count)]
-        for weight in (0.05, 1.0):
+        for weight in SATURATED:
             self.count_saturated(weight)
             found.append(self.sweep(order(), theta, torch.zeros(self.coded.size), rng))
-        values = np.array([self.evidence(*start) for start in found])
-        theta, c = found[int((values + rng.gumbel(size=len(values))).argmax())]
+        theta, c = found[categorical(np.array([[self.evidence(*start) for start in found]]), rng)[0]]
         for _ in range(sweeps):
             theta, c = self.sweep(order(), theta, c, rng)
         return theta, c[None]

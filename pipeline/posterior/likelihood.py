@@ -33,6 +33,11 @@ LEVELS = (0.08, 0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0)      # roughness
 METALLIC = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 1.0])
 
 
+def metallic_step(m: np.ndarray) -> np.ndarray:
+    """Index (R,) in METALLIC nearest to m (R,)."""
+    return np.abs(m[:, None] - METALLIC).argmin(1)
+
+
 @dataclass
 class Theta:
     """Region materials: mean base colour mu (R, 3), its relative spread tau (R,), roughness level (R,), metallic m (R,)."""
@@ -149,12 +154,11 @@ class Photos:
 
     def point_materials(self, theta: Theta) -> tuple[np.ndarray, np.ndarray]:
         """Roughness level and metallic of every point, (p,) each."""
-        step = np.abs(theta.m[:, None] - METALLIC).argmin(1)
-        m = METALLIC[np.clip(step[self.region] + self.offset[1], 0, len(METALLIC) - 1)]
+        m = METALLIC[np.clip(metallic_step(theta.m)[self.region] + self.offset[1], 0, len(METALLIC) - 1)]
         return np.clip(theta.level[self.region] + self.offset[0], 0, len(self.lobes.levels) - 1), m
 
     def set(self, theta: Theta) -> None:
-        """Materials that `predict`, `value` and `normal_equations` use. Matrices are rebuilt only where they changed."""
+        """Materials that `predict`, `value` and `whitened` use. Matrices are rebuilt only where they changed."""
         level, m = self.point_materials(theta)
         key = (level.tobytes(), m.tobytes())
         if key != self.assembled:
@@ -200,13 +204,17 @@ class Photos:
         counted = np.reshape((self.share if share is None else share) / self.kappa, (-1, 1))
         return tuple(self.per_point(v) * counted for v in (precision * U * U, precision * U * r, precision * r * r))
 
+    def energy(self, U: np.ndarray, precision: np.ndarray) -> np.ndarray:
+        """The first of `sums` alone."""
+        return self.per_point(precision * U * U) * (self.share / self.kappa)[:, None]
+
     def point_values(self, U: np.ndarray, W: np.ndarray, theta: Theta) -> np.ndarray:
         """Log-likelihood of every point (p,), constants of the noise left out. Saturated rows always count in the determinant, so that
         none gains by falling silent.
         """
         v = (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
         q, g, s = self.sums(U, W, theta, self.counted(U, W, theta))
-        all_q = self.sums(U, W, theta, self.precision)[0] if self.clipped.any() else q
+        all_q = self.energy(U, self.precision) if self.clipped.any() else q
         return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * all_q)).sum(1)
 
     def value(self, light: np.ndarray) -> float:

@@ -20,10 +20,10 @@ from ..prior.code import scale_of
 from ..transport import Transport, choose_rows
 from .coded import Coded, PixelCode
 from .evidence import Search
-from .likelihood import Lobes, Photos, Theta, channel_effect, design_effect
+from .likelihood import METALLIC, Lobes, Photos, Theta, channel_effect, design_effect, metallic_step
 from .problem import Problem, generators
 from .refine import fill, gather, splat
-from .region_moves import METALLIC, draw_gauge, draw_offsets, draw_regions, propose_spread
+from .region_moves import draw_gauge, draw_offsets, draw_regions, propose_spread
 from .regions import group, texel_regions
 from .turns import LAST, Turns
 
@@ -43,7 +43,7 @@ def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts
     median = lambda v, r: np.median(v[region == r], axis=0)
     mu = np.clip(np.stack([median(values["base_color"], r) for r in range(count)]), 0.02, 0.95)
     level = np.array([np.abs(np.array(levels) - median(values["roughness"], r)).argmin() for r in range(count)])
-    m = np.array([METALLIC[np.abs(METALLIC - median(values["metallic"], r)).argmin()] for r in range(count)])
+    m = METALLIC[metallic_step(np.array([median(values["metallic"], r) for r in range(count)]).reshape(count))]
     return Theta(mu, np.full(count, 0.3), level, m)
 
 
@@ -140,16 +140,16 @@ class Chain(Turns):
         colour, _, _ = self.colour(light)
         rows, region, levels = self.photos.rows, self.photos.region, np.array(self.photos.lobes.levels)
         level, m = self.photos.point_materials(self.theta)
-        by_region = {"roughness": levels[self.theta.level], "metallic": self.theta.m}
-        beside = np.stack([levels[level] - by_region["roughness"][region], m - by_region["metallic"][region]], 1)
+        regions = {"roughness": levels[self.theta.level], "metallic": self.theta.m}
+        beside = np.stack([levels[level] - regions["roughness"][region], m - regions["metallic"][region]], 1)
         values = np.concatenate([colour, beside, np.ones((len(colour), 1))], 1)
         total = splat(self.obs.uv[rows.observation], values[rows.point], size)
         known = total[..., 5] > 0.05
         spread = fill(total[..., :5] / np.maximum(total[..., 5:], 1e-6), known)
         base, beside = cv2.GaussianBlur(spread[..., :3], (0, 0), 1.0), cv2.GaussianBlur(spread[..., 3:], (0, 0), max(size / SOFT, 0.5))
-        out = {name: by_region[name][self.region_map] + beside[..., k] for k, name in enumerate(by_region)}
-        out = {"base_color": np.clip(base, 0, 1), "roughness": np.clip(out["roughness"], levels[0], levels[-1]), "metallic": np.clip(out["metallic"], 0, 1)}
-        return {name: value.astype(np.float32) for name, value in out.items()}
+        bounds = {"roughness": (levels[0], levels[-1]), "metallic": (0, 1)}
+        out = {name: np.clip(regions[name][self.region_map] + beside[..., k], *bounds[name]) for k, name in enumerate(bounds)}
+        return {name: value.astype(np.float32) for name, value in (out | {"base_color": np.clip(base, 0, 1)}).items()}
 
     def result(self, code: torch.Tensor, start: Explanation) -> tuple[Explanation, dict]:
         """The draw as maps, and facts."""

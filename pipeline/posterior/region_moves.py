@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import logsumexp
 
-from .likelihood import METALLIC, Photos, Theta, mix
+from .likelihood import METALLIC, Photos, Theta, metallic_step, mix
 from .problem import ALBEDO_MAX
 
 METALLIC_PRIOR = np.log(np.array([8, 4, 2, 1, 0.7, 0.5, 0.5, 0.5, 0.7, 1, 2, 4, 4]) / 28.9)     # things are metal or not
@@ -45,7 +45,7 @@ def log_colour_prior(mu: np.ndarray, m: np.ndarray) -> float:
 def log_own_prior(theta: Theta) -> np.ndarray:
     """Of every region's spread of colour and metallic (R,), up to a constant; -inf where a value is impossible."""
     out = -0.5 * ((np.log(theta.tau) - TAU_PRIOR[0]) / TAU_PRIOR[1]) ** 2
-    out = out + METALLIC_PRIOR[np.abs(theta.m[:, None] - METALLIC).argmin(1)]
+    out = out + METALLIC_PRIOR[metallic_step(theta.m)]
     return np.where((theta.mu >= ALBEDO_MAX).any(1) | (theta.tau > 3), -np.inf, out)
 
 
@@ -68,8 +68,8 @@ def propose(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarr
     new.mu = theta.mu * np.exp(width[:, None] * (common + 0.5 * rng.normal(size=(regions, 3))))
     step = np.where(rng.random(regions) < 0.2, rng.integers(-levels, levels + 1, regions), rng.integers(-1, 2, regions))
     new.level = np.where(rng.random(regions) < 0.5, theta.level + step, theta.level)
-    at = np.abs(theta.m[:, None] - METALLIC).argmin(1)
     jump = np.where(rng.random(regions) < 0.2, rng.integers(-12, 13, regions), rng.integers(-1, 2, regions))
+    at = metallic_step(theta.m)
     at = np.where(rng.random(regions) < 0.5, at + jump, at)
     inside = (new.level >= 0) & (new.level < levels) & (at >= 0) & (at < len(METALLIC))
     new.level, new.m = np.where(inside, new.level, theta.level), np.where(inside, METALLIC[at % len(METALLIC)], theta.m)
@@ -106,9 +106,10 @@ def draw_offsets(photos: Photos, lobes: np.ndarray, theta: Theta, rng) -> None:
         for step in steps:
             photos.offset[kind] = step
             table.append(photos.point_values(*rows_of(lobes, photos, theta), theta))
+        table, prior = np.stack(table, 1), log_offset(steps)[:, None]
         for r in range(len(theta.m)):
             mine = np.flatnonzero(photos.region == r)
-            values = np.stack(table, 1)[mine][None] + log_offset(steps)[:, None]         # (widths, points, steps)
+            values = table[mine][None] + prior                                           # (widths, points, steps)
             width = categorical(logsumexp(values, 2).sum(1)[None] + WIDTH_PRIOR, rng)[0]
             photos.offset[kind, mine] = steps[categorical(values[width], rng)]
 

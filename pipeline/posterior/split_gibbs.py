@@ -37,11 +37,13 @@ class LightLikelihood(Protocol):
     def residual(self, z: torch.Tensor) -> torch.Tensor:
         """r (3, n) of `expansion` alone."""
 
-    def adjoint(self, z: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
-        """E^T J^T w of `expansion`, like z, for w (3, n)."""
-
     def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, object]:
         """J (3, n, k), r (3, n) and a fold E (pooling.py): log-likelihood of z + d ~ -|r - J E d|^2 / 2, channel by channel."""
+
+    def adjoint(self, z: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
+        """E^T J^T w of `expansion`, like z, for w (3, n); likelihoods that need not build J for it override this."""
+        J, _, fold = self.expansion(z)
+        return fold.up(torch.einsum("cnk,cn->ck", J, w))
 
 
 def noise_gain(spread: float, rho: float) -> float:
@@ -121,7 +123,7 @@ class Laplace:
             self.J, r, self.fold = likelihood.expansion(self.mode)
             self.damping = self.damping / DAMPING if self.damping > 1 else 0.0
             self.curvature = [Curvature(J, self.width) for J in self.J]
-            gain, now = self.climb(target, now, slope(likelihood.adjoint(self.mode, data(r))))
+            gain, now = self.climb(target, now, slope(self.fold.up(torch.einsum("cnk,cn->ck", self.J, data(r)))))
             if gain == 0 or (gain < enough and not 1 < self.damping < KINK):
                 break
             if self.damping == 0:
@@ -215,19 +217,16 @@ def elliptical_slice(z: torch.Tensor, target, reference: Laplace, slices: int, r
     return reference.mode + offset
 
 
-def draw_light(likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, slices: int, rng, noise,
-               afresh: bool = False) -> torch.Tensor:
-    """z | x: codes (3, M), by slices from z, or `afresh` by randomised maximum likelihood (Oliver et al. 1996; Bardsley et al. 2014: perturb
-    data and prior mean, then optimise), exact where log-likelihood is quadratic, and slices from there.
+def draw_light(likelihood: LightLikelihood, x: torch.Tensor, z: torch.Tensor, rho: float, slices: int, rng, noise) -> torch.Tensor:
+    """z | x: codes (3, M), by randomised maximum likelihood (Oliver et al. 1996; Bardsley et al. 2014: perturb data and prior mean, then
+    optimise), exact where log-likelihood is quadratic, and slices from there. z is where to look for the peak.
 
-    Slices about the peak turn by small angles only where that Gaussian is a poor one: alone they do not get round in a few turns. A z that no
-    draw would reach, further below the peak than twice its usual drop of numel / 2, is left for a fresh one: the target has changed (annealing).
+    Slices alone turn by small angles where the Gaussian about the peak is a poor one: they do not get round in a few turns.
     """
     reference = Laplace(likelihood, x, z, rho)
     target = lambda t: likelihood.value(t) - 0.5 * float((t - x).square().sum()) / rho**2
-    if afresh or target(z) < target(reference.mode) - z.numel():
-        fresh = lambda shape: torch.randn(shape, generator=noise)
-        z = Laplace(likelihood, x + rho * fresh(x.shape), reference.mode, rho, fresh(reference.J.shape[:2]), known=reference).mode
+    fresh = lambda shape: torch.randn(shape, generator=noise)
+    z = Laplace(likelihood, x + rho * fresh(x.shape), reference.mode, rho, fresh(reference.J.shape[:2]), known=reference).mode
     return elliptical_slice(z, target, reference, slices, rng, noise)
 
 

@@ -6,13 +6,15 @@ overrides (ours.py).
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import torch
 
 from ..config import Sample
 from ..prior.code import scale_of
 from ..prior.gaussian import GaussianPrior, translated
-from ..prior.sampling import reverse_diffusion
+from ..prior.sampling import lights, reverse_diffusion
 from ..progress import Bar
 from .coded import COMPONENTS, Coded, ModeCode, Modes, PixelCode
 from .likelihood import Photos, Theta
@@ -36,15 +38,18 @@ class Turns:
 
     def light_turn(self, coded: Coded, about: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
         """Unknowns of the light's code drawn afresh about `about` together with the regions' colours; z is where to begin."""
-        z = draw_light(coded, coded.centre(about), coded.join(z, self.theta), coded.width, SLICES, self.rng, self.noise, afresh=True)
+        z = draw_light(coded, coded.centre(about), coded.join(z, self.theta), coded.width, SLICES, self.rng, self.noise)
         self.theta.mu = coded.colours(z)
         self.photos.set(self.theta)
         return z[:, :coded.size]
 
+    @cached_property
+    def gaussian_modes(self) -> Modes:
+        return Modes(self.gaussian, self.gaussian, COMPONENTS, self.photos.transport.h)
+
     def gaussian_code(self) -> ModeCode:
         """The light as modes of the Gaussian prior about its mean."""
-        modes = Modes(self.gaussian, self.gaussian, COMPONENTS, self.photos.transport.h)
-        return ModeCode(self.photos, self.gaussian, self.log_scale, modes, self.gaussian.flat_mean)
+        return ModeCode(self.photos, self.gaussian, self.log_scale, self.gaussian_modes, self.gaussian.flat_mean)
 
     def turns_with_gaussian(self, count: int) -> torch.Tensor:
         """Light | rest with the Gaussian prior's modes; the code (3, m) in that prior's units."""
@@ -60,7 +65,7 @@ class Turns:
 
         The photos move the code's mean: a scale that stood still would leave it where the network has never been, and be pulled back.
         """
-        level = float(np.log(scale_of(prior.decode(code.reshape(1, 3, prior.height, prior.width))[0].permute(1, 2, 0).numpy())))
+        level = float(np.log(scale_of(lights(prior, code.reshape(1, 3, prior.height, prior.width))[0])))
         self.log_scale += level
         return code - level / prior.log_spread
 

@@ -15,14 +15,14 @@ class DiffusionPrior:
 
     def __init__(self, model: Denoiser, code: Code, height: int, shares: dict[str, float]):
         self.model, self.code, self.height, self.width = model.eval().requires_grad_(False), code, height, 2 * height
-        self.shares = shares                                # of the classes among the measured maps trained on
+        self.shares = shares                                # of the classes among the measured maps trained on; {}: not known
 
     @classmethod
     def from_tensors(cls, tensors: dict, facts: dict) -> "DiffusionPrior":
         """From what pipeline.prior.export wrote."""
         model = Denoiser(**facts["network"])
         model.load_state_dict(tensors)
-        return cls(model, Code(facts["mean"], facts["std"]), facts["height"], facts["shares"])
+        return cls(model, Code(facts["mean"], facts["std"]), facts["height"], facts.get("shares", {}))
 
     @property
     def log_spread(self) -> float:

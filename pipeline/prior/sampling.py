@@ -89,11 +89,12 @@ def draw(prior, count: int, steps: int, seed: int, label: str | None = None, bat
     """
     noise, rng, out = torch.Generator().manual_seed(seed), np.random.default_rng(seed), []
     gaussian, labels = load_prior(start), classes(prior.shares, count, rng) if prior.shares and not label else [label] * count
+    guided = prior if None in labels else Guided(prior)
     with torch.no_grad(), Bar("prior samples", steps * -(-count // batch)) as bar:
         for first in range(0, count, batch):
             part = labels[first:first + batch]
             z = first_noise(prior, gaussian, len(part), noise)
-            out.append(reverse_diffusion(Guided(prior), z, FIRST_SIGMA, steps, part, rng, noise, done=bar.step, churn=CHURN, excess=EXCESS))
+            out.append(reverse_diffusion(guided, z, FIRST_SIGMA, steps, part, rng, noise, done=bar.step, churn=CHURN, excess=EXCESS))
     return torch.cat(out)
 
 
