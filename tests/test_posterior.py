@@ -1,3 +1,6 @@
+from copy import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +13,7 @@ from pipeline.optics import Explanation, Renderer
 from pipeline.posterior.dpi import dpi_paper, rho
 from pipeline.posterior.fit import fit
 from pipeline.posterior.problem import Problem
-from pipeline.posterior.refine import gather, refine, splat
+from pipeline.posterior.refine import base_color_block, gather, refine, splat
 from pipeline.prior import load_prior
 from pipeline.prior.code import scale_of
 from pipeline.prior.procedural import outdoor
@@ -106,6 +109,25 @@ def test_refined_sample_predicts_the_held_out_view(problem, start, toy):
     after = psnr(render_view(problem.renderer, x, view, 64), photo, mask)
     assert after > 24 and after > before - 0.5
     assert 0 <= x.base_color.min() and x.base_color.max() <= 0.98 and x.roughness.min() >= 0.1
+
+
+def test_highlights_do_not_stay_in_the_base_colour(problem):
+    """A dark gloss under one lamp, seen from eight sides: its mirror image moves with the view, the base colour is the same all over."""
+    light = np.full((32, 64, 3), 0.2, np.float32)
+    light[8:12, ::16] = light[8:12, 1::16] = 15.0
+    plain = lambda value: np.full((32, 32), value, np.float32)
+    truth = Explanation(light, np.full((32, 32, 3), 0.05, np.float32), plain(0.15), plain(0.0))
+    glossy, rng = copy(problem), np.random.default_rng(0)
+    obs = glossy.observations = copy(problem.observations)
+    glossy.renderer.set(truth)
+    obs.rgb = np.mean([glossy.renderer.radiance(*obs.rays(np.arange(len(obs)), rng), k) for k in range(64)], axis=0)
+    obs.clipped = np.zeros(len(obs), bool)
+    x = replace(truth, base_color=np.full((32, 32, 3), 0.3, np.float32))
+    for _ in range(3):
+        x, _ = base_color_block(glossy, x, 8, rng)
+    seen = gather(x.base_color, obs.uv)
+    assert obs.rgb.max() > 0.5
+    assert np.quantile(np.abs(seen - 0.05), 0.95) < 0.03
 
 
 def test_splat_is_the_adjoint_of_gather():

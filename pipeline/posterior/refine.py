@@ -3,8 +3,9 @@
 Three blocks in turn. Roughness and metallic: Adam through the path tracer, on maps of moderate size, because photos say
 little about their fine detail. Light scale: a closed-form factor. Base colour at full size: the picture is nearly linear
 in it, L = a D + S with D the shading and S what does not scale with the base colour, so per texel
-a = (mean y - mean S) / mean D over the pixels that see the texel. Shading is smooth where colour is not: D and S are
-blurred over a few texels, which takes the path tracer's noise out and leaves the photos' detail in.
+a = mean (y - S) / mean D over the pixels that see the texel. S is every pixel's own, for highlights move with the view: averaged
+over views they would stay in the texture. Shading is smooth where colour is not: D is blurred over a few texels, which takes the path
+tracer's noise out and leaves the photos' detail in.
 """
 
 from __future__ import annotations
@@ -73,25 +74,24 @@ def fill(image: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def shading_maps(problem: Problem, x: Explanation, spp: int, rng, chunk: int = 1 << 18):
-    """D and S (t, t, 3) of `x` averaged per texel and blurred, texels seen (t, t), observed y (n, 3), and the loss.
+    """D (t, t, 3) of `x` averaged per texel and blurred, texels seen (t, t), y - S of every pixel (n, 3), and the loss.
 
     y is the photo's value; where that is saturated, the larger of it and the prediction.
     """
     obs, size = problem.observations, x.base_color.shape[0]
-    sums, observed, loss = np.zeros((3, size, size, 3)), [], 0.0
+    sums, diffuse, loss = np.zeros((2, size, size, 3)), [], 0.0
     for k in range(0, len(obs), chunk):
         index = np.arange(k, min(k + chunk, len(obs)))
         L, scaled = shading(problem, x, index, spp, rng)
         y = np.where(obs.clipped[index][:, None], np.maximum(obs.rgb[index], L), obs.rgb[index])
         weight = view_weight(obs.cosine[index])
-        for total, value in zip(sums, (scaled / gather(x.base_color, obs.uv[index]), L - scaled, np.ones_like(y))):
+        for total, value in zip(sums, (scaled / gather(x.base_color, obs.uv[index]), np.ones_like(y))):
             total += splat(obs.uv[index], weight * value, size)
-        observed.append(y)
+        diffuse.append(y - (L - scaled))
         loss += float((((y - L) / (y + SHADE)) ** 2).sum())
     blur = lambda total: cv2.GaussianBlur(total, (0, 0), max(SHADING_BLUR * size / 1024, 0.6), borderType=cv2.BORDER_REPLICATE)
-    near = np.maximum(blur(sums[2]), 1e-6)
-    return np.maximum(blur(sums[0]) / near, 1e-3), blur(sums[1]) / near, sums[2][..., 0] > 0.05, np.concatenate(observed), \
-        loss / (3 * len(obs))
+    D = blur(sums[0]) / np.maximum(blur(sums[1]), 1e-6)
+    return np.maximum(D, 1e-3), sums[1][..., 0] > 0.05, np.concatenate(diffuse), loss / (3 * len(obs))
 
 
 def view_weight(cosine: np.ndarray) -> np.ndarray:
@@ -102,16 +102,16 @@ def view_weight(cosine: np.ndarray) -> np.ndarray:
 def base_color_block(problem: Problem, x: Explanation, spp: int, rng) -> tuple[Explanation, float]:
     """Least squares over all pixels for the whole base colour map; also the mean squared weighted residual before it.
 
-    With D and S held, y = bilinear(a D + S) is solved by back-projecting the residual, with weights that forget pixels
-    which other views contradict (Geman-McClure): occlusion edges and slightly wrong cameras.
+    With D and S held, y - S = bilinear(a D) is solved by back-projecting the residual, with weights that forget pixels
+    which other views contradict (Geman-McClure): occlusion edges, slightly wrong cameras, highlights in the wrong place.
     """
     obs, size = problem.observations, x.base_color.shape[0]
     x = replace(x, base_color=np.clip(x.base_color, 0.02, ALBEDO_MAX).astype(np.float32))   # black has no direction to move
-    D, S, known, y, loss = shading_maps(problem, x, spp, rng)
+    D, known, diffuse, loss = shading_maps(problem, x, spp, rng)
     weight, color = view_weight(obs.cosine), x.base_color.astype(np.float64)
     for k in range(SOLVES):
-        r = y - gather((color * D + S).astype(np.float32), obs.uv)
-        relative = np.abs(r / (y + SHADE)).mean(-1, keepdims=True)
+        r = diffuse - gather((color * D).astype(np.float32), obs.uv)
+        relative = np.abs(r / (obs.rgb + SHADE)).mean(-1, keepdims=True)
         trust = weight / (1 + (relative / CONTRADICTION) ** 2) if k else weight
         step = splat(obs.uv, trust * r, size) / np.maximum(splat(obs.uv, trust, size), 1e-6)
         color = np.where(known[..., None], np.clip(color + step / D, 0.0, ALBEDO_MAX), color)
