@@ -104,7 +104,7 @@ class Sample(Section):
     views: int = Field(6, ge=1, le=100, description="split_gibbs: photos per point")
     light: int = Field(32, ge=4, le=128, description="split_gibbs: rows of the light that the operator resolves; divides the prior's")
     search_prior: str = Field("gaussian_small", description="split_gibbs: Gaussian prior of the search's light")
-    search_points: int = Field(120, ge=10, description="split_gibbs: points for the search of start materials")
+    search_points: int = Field(250, ge=10, description="split_gibbs: points for the search of start materials")
     search_sweeps: int = Field(1, ge=0, description="split_gibbs: sweeps of that search over all regions, after one from each of two starts")
     region_steps: int = Field(100, ge=1, description="split_gibbs: Metropolis-Hastings steps of the materials per turn")
     steps: int = Field(250, ge=2, le=1000, description="dpi: noise levels, a sub-sequence of T = 1000")

@@ -32,7 +32,7 @@ LOBES = ("diffuse", "dielectric", "metal white", "metal black")
 HIGHLIGHT_SAMPLES = 32      # directions per row drawn from the highlight
 PATCH = 2.0                 # radius in pixels over which photos are averaged
 STEEP = 0.3                 # rows with a smaller cosine of incidence are left out: their pixel covers much surface
-LANES = 1 << 20             # directions evaluated at once: bounds memory
+LANES = 1 << 18             # directions evaluated at once: bounds memory, and keeps transposes in the cache
 
 
 @dataclass
@@ -197,29 +197,32 @@ class Transport:
         rows, columns = np.nonzero(self.meets >= 0)
         self.between = sparse.csr_matrix((weight[rows, columns], (rows, self.meets[rows, columns])), (q, q))
 
-    def _interaction(self, rows: np.ndarray, each: int):
-        """Surface interaction that knows its local incident direction only, `each` lanes per row."""
-        si = dr.zeros(mi.SurfaceInteraction3f, each * len(rows))
-        si.wi = mi.Vector3f(np.repeat(self.incident[rows].T, each, axis=1))
+    def _interaction(self, rows: np.ndarray):
+        """Surface interaction that knows its local incident direction only, a lane for every one of `rows`."""
+        si = dr.zeros(mi.SurfaceInteraction3f, len(rows))
+        si.wi = mi.Vector3f(np.ascontiguousarray(self.incident[rows].T))
         return si
 
     def at(self, roughness: float, seed: int) -> tuple[np.ndarray, list]:
         """Lobes at one roughness: light matrices F (4, n, M) float32 and a list of 4 sparse (n, q) for light off the object."""
-        lobes, n, cells = Lobes(roughness), len(self.rows.point), len(self.d)
+        lobes, n, cells, to_light = Lobes(roughness), len(self.rows.point), len(self.d), self.to_light.astype(np.float32)
         F = np.empty((4, n, 2 * self.h**2), np.float32)
         off = [[], [], []]                                                               # row, node, values (4,)
         chunk = max(1, LANES // cells)
         for k in range(0, n, chunk):
             mine = np.arange(k, min(k + chunk, n))
+            above = np.flatnonzero(self.meets[self.rows.point[mine]] != -2)               # the rest would be zero
+            row, cell = mine[above // cells], above % cells
             local = (self.frame[mine].astype(np.float32) @ self.d.T.astype(np.float32)).transpose(1, 0, 2).reshape(3, -1)
-            si, wo = self._interaction(mine, cells), mi.Vector3f(np.ascontiguousarray(local))
-            density = np.tile(1 / self.solid, len(mine)) + HIGHLIGHT_SAMPLES * lobes.highlight_density(si, wo)
+            si, wo = self._interaction(row), mi.Vector3f(np.ascontiguousarray(local[:, above]))
+            density = 1 / self.solid[cell] + HIGHLIGHT_SAMPLES * lobes.highlight_density(si, wo)
             value = np.nan_to_num(lobes(si, wo)) / density.astype(np.float32)
-            meets = self.meets[self.rows.point[mine]].reshape(-1)
-            grid = np.where(meets == -1, value, 0).reshape(4 * len(mine), cells).astype(np.float32)
-            F[:, mine] = np.asarray((self.to_light.T.astype(np.float32) @ grid.T).T).reshape(4, len(mine), -1)
+            meets = self.meets[self.rows.point[row], cell]
+            grid = np.zeros((4, len(mine) * cells), np.float32)
+            grid[:, above] = np.where(meets == -1, value, 0)
+            F[:, mine] = (grid.reshape(-1, cells) @ to_light).reshape(4, len(mine), -1)
             blocked = np.flatnonzero((meets >= 0) & (value[2] > 0))
-            for store, what in zip(off, (mine[blocked // cells], meets[blocked], value[:, blocked].T)):
+            for store, what in zip(off, (row[blocked], meets[blocked], value[:, blocked].T)):
                 store.append(what)
         self._add_highlights(lobes, F, off, seed)
         row, node, value = (np.concatenate(x) for x in off)
@@ -229,7 +232,7 @@ class Transport:
         """The highlight's own directions, balance heuristic against the grid's."""
         n = len(self.rows.point)
         row = np.repeat(np.arange(n), HIGHLIGHT_SAMPLES)
-        si = self._interaction(np.arange(n), HIGHLIGHT_SAMPLES)
+        si = self._interaction(row)
         wo = lobes.sample_highlight(si, seed)
         local = np.array(wo).T
         d = np.einsum("nji,nj->ni", self.frame[row], local)

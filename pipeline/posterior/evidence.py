@@ -20,7 +20,7 @@ import torch
 from ..prior.gaussian import GaussianPrior
 from ..transport import Rows
 from .coded import ModeCode, Modes
-from .likelihood import METALLIC, Photos, Theta
+from .likelihood import METALLIC, Photos, Theta, mix
 from .pooling import pooled
 from .region_moves import categorical, log_prior
 from .split_gibbs import cholesky
@@ -38,7 +38,6 @@ def subset(photos: Photos, points: np.ndarray) -> Photos:
     keep, transport, lobes = np.isin(photos.rows.point, points), copy(photos.transport), copy(photos.lobes)
     index, transport.h = torch.from_numpy(np.flatnonzero(keep)), min(ROWS, transport.h)
     lobes.direct = [pooled(F[:, index], transport.h) for F in photos.lobes.direct]
-    lobes.off = [[g[keep] for g in G] for G in photos.lobes.off]
     rows = Rows(photos.rows.observation[keep], np.searchsorted(points, photos.rows.point[keep]))
     out = Photos(transport, lobes, photos.observed[keep], photos.clipped[keep], np.zeros(len(points), int), 1, rows)
     out.eta, out.kappa = ERROR, THINNING
@@ -55,6 +54,22 @@ class Piece:
     b: torch.Tensor
 
 
+class Linear:
+    """What the lobes of every region make of a light (M', 3) and of its changes per mode (3, K, M'): small matrices, of which those of any
+    metallic are mixed.
+    """
+
+    def __init__(self, parts: list[Photos], light: np.ndarray, moved: torch.Tensor):
+        self.parts, self.light, self.moved, self.known = parts, torch.from_numpy(light.astype(np.float32)), moved, {}
+
+    def lobes(self, r: int, level: int) -> tuple[np.ndarray, torch.Tensor]:
+        """Region r's four lobes at a roughness level: under the light (4, n, 3), and under its modes (3, 4, n, K)."""
+        if (r, level) not in self.known:
+            F = self.parts[r].lobes.direct[level]
+            self.known[r, level] = (F @ self.light).numpy(), torch.stack([F @ change.T for change in self.moved])
+        return self.known[r, level]
+
+
 class Search:
     """Draws of each region's roughness and metallic given the other regions'; light codes = mean + modes c with c ~ N(0, 1)."""
 
@@ -66,35 +81,35 @@ class Search:
         modes = Modes(gaussian, gaussian, SEARCH_COMPONENTS, self.parts[0].transport.h)
         self.coded = ModeCode(self.parts[0], gaussian, log_scale, modes, gaussian.flat_mean)
 
-    def light(self, c: torch.Tensor) -> np.ndarray:
-        """What the operator acts on (M', 3), of coefficients (K,)."""
-        return self.coded.light(self.coded.code(c[None]))
+    def linear(self, c: torch.Tensor) -> "Linear":
+        """The light at coefficients c (K,), as the regions see it."""
+        code = self.coded.code(c[None])
+        return Linear(self.parts, self.coded.light(code), self.coded.modes.moved(self.coded.slopes(code)[1]))
 
-    def linear(self, c: torch.Tensor) -> tuple[np.ndarray, torch.Tensor]:
-        """The light (M', 3) at c and its change per mode (3, K, M')."""
-        return self.light(c), self.coded.modes.moved(self.coded.slopes(self.coded.code(c[None]))[1])
-
-    def piece(self, r: int, theta: Theta, light: np.ndarray, moved: torch.Tensor) -> Piece:
+    def piece(self, r: int, theta: Theta, at: "Linear") -> Piece:
         """Region r with materials theta, its colour fitted to this light."""
-        part = self.parts[r]
-        part.set(theta)
-        theta = fitted_colour(part, light)
-        part.set(theta)
-        T, residual, _ = part.whitened(light)
-        J = torch.einsum("cnm,ckm->cnk", T, moved).reshape(-1, moved.shape[1])
-        return Piece(theta, part.value(light), J.T @ J, J.T @ residual.reshape(-1))
+        part, level, m = self.parts[r], int(theta.level[0]), float(theta.m[0])
+        light, modes = at.lobes(r, level)
+        U, W = mix(light, m)
+        part.theta = theta = fitted_colour(part, theta, U, W)
+        rest, H, b = part.observed - theta.mu * U - W, 0.0, 0.0
+        for c, whiten in enumerate(part.whiteners(U, W)):
+            u, w = mix(modes[c], m)
+            J = whiten(float(theta.mu[0, c]) * u + w)
+            H, b = H + J.T @ J, b + J.T @ whiten(torch.from_numpy(rest[:, c:c + 1].astype(np.float32)))[:, 0]
+        return Piece(theta, float(part.point_values(U, W, theta).sum()), H, b)
 
-    def pieces(self, thetas: list[Theta], c: torch.Tensor) -> tuple[list[Piece], tuple]:
+    def pieces(self, thetas: list[Theta], c: torch.Tensor) -> tuple[list[Piece], "Linear"]:
         """Every region at its Theta, linearised at c; and what `linear` says there."""
         at = self.linear(c)
-        return [self.piece(r, theta, *at) for r, theta in enumerate(thetas)], at
+        return [self.piece(r, theta, at) for r, theta in enumerate(thetas)], at
 
-    def draw_material(self, group: list[int], pieces: list[Piece], at: tuple, c: torch.Tensor, rng) -> tuple[list[Piece], torch.Tensor]:
+    def draw_material(self, group: list[int], pieces: list[Piece], at: "Linear", c: torch.Tensor, rng) -> tuple[list[Piece], torch.Tensor]:
         """One roughness and metallic for all regions of `group`, or what they have, by evidence: all pieces, and the light's step
         that goes with them (K,). at = linear(c).
         """
         choices = [(level, m) for level in range(len(self.parts[0].lobes.levels)) for m in CANDIDATES]
-        changed = lambda choice: [self.piece(r, p.theta.made_of(*choice), *at) if r in group else p for r, p in enumerate(pieces)]
+        changed = lambda choice: [self.piece(r, p.theta.made_of(*choice), at) if r in group else p for r, p in enumerate(pieces)]
         found = []
         for candidate in [pieces] + [changed(choice) for choice in choices]:
             step, gain = light_step(candidate, c)
@@ -102,7 +117,7 @@ class Search:
             found.append((gain + sum(p.value for p in candidate) + prior, candidate, step))
         return found[categorical(np.array([[v for v, _, _ in found]]), rng)[0]][1:]
 
-    def settled(self, theta: Theta, c: torch.Tensor) -> tuple[list[Piece], tuple, torch.Tensor]:
+    def settled(self, theta: Theta, c: torch.Tensor) -> tuple[list[Piece], "Linear", torch.Tensor]:
         """Pieces of theta (of all regions) after a few steps of the light alone; `at` and coefficients (K,) there."""
         pieces, at = self.pieces([theta.of([r]) for r in range(len(self.parts))], c)
         for _ in range(LIGHT_FIRST):
@@ -171,10 +186,9 @@ def damped(c: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
     return c + step * min(1.0, 3.0 / max(float(step.abs().max()), 1e-9))
 
 
-def fitted_colour(part: Photos, light: np.ndarray) -> Theta:
-    """The region's Theta with mean and spread of the points' best base colours under this light."""
-    out = part.theta.copy()
-    U, W = part.predict(light)
+def fitted_colour(part: Photos, theta: Theta, U: np.ndarray, W: np.ndarray) -> Theta:
+    """The region's Theta with mean and spread of the points' best base colours, U and W (n, 3) being what its lobes see."""
+    out = theta.copy()
     colour = np.clip(part.colours(*part.sums(U, W, out, part.counted(U, W, out))[:2], out)[0], 1e-3, 1.2)
     out.mu[0] = np.clip(colour.mean(0), 0.01, 0.95)
     out.tau[0] = np.clip((colour.std(0) / out.mu[0]).mean(), 0.05, 1.5)

@@ -23,13 +23,13 @@ from .evidence import Search
 from .likelihood import METALLIC, Lobes, Photos, Theta, channel_effect, design_effect, metallic_step
 from .problem import Problem, generators
 from .refine import fill, gather, splat
-from .region_moves import draw_gauge, draw_offsets, draw_regions, propose_spread
+from .region_moves import draw_gauge, draw_offsets, draw_regions, propose, propose_colour, propose_spread
 from .regions import group, texel_regions
 from .turns import LAST, Turns
 
 GAUSSIAN_TURNS = 3          # every row counted in full: what they leave over shows the noise's correlation
 THINNED_TURNS = 1           # then with the design effect: the last turns that move the light's level freely, so with the errors it has
-WARM_UP = 150               # region steps at the fit's light, for the noise and as the start
+WARM_UP = 150               # region steps at the search's light, for colours and noise: it is too smooth to say anything of gloss
 BLOCKS, SHAPE = 12, 2.0     # pieces of surface that err together; of their gamma weights: half the variance of a full bootstrap, the draws' own adds to it
 SOFT = 64                   # of the texture's side: roughness and metallic of the points run into each other over as much
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
@@ -76,7 +76,7 @@ class Chain(Turns):
         light = self.search()
         self.photos.set(self.theta)
         for _ in range(3):
-            self.materials(light, WARM_UP // 3)
+            self.materials(light, WARM_UP // 3, propose_colour)
 
     def thin(self, light: np.ndarray) -> None:
         """Measure how many rows stand for one independent one, from the residuals under this light."""
@@ -98,12 +98,13 @@ class Chain(Turns):
         U, W = self.photos.predict(light)
         return self.photos.draw_colour(U, W, self.theta, self.rng), U, W
 
-    def materials(self, light: np.ndarray, steps: int) -> None:
+    def materials(self, light: np.ndarray, steps: int, proposal=propose) -> None:
         """Region materials, then the points' colours and the noise given them."""
         nodes = self.photos.nodes(light, self.theta)
         lobes = self.photos.lobes.apply(light, nodes)
-        self.theta = draw_regions(self.photos, lobes, self.theta, steps, self.rng, self.width)
-        draw_offsets(self.photos, lobes, self.theta, self.rng)
+        self.theta = draw_regions(self.photos, lobes, self.theta, steps, self.rng, self.width, proposal)
+        if proposal is propose:
+            draw_offsets(self.photos, lobes, self.theta, self.rng)
         with self.photos.row_by_row():
             self.theta = draw_regions(self.photos, lobes, self.theta, steps // 3, self.rng, self.spread_width, propose_spread)
             self.photos.set(self.theta)

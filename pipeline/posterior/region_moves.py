@@ -61,11 +61,17 @@ def propose_spread(theta: Theta, levels: int, rng: np.random.Generator, width: n
     return new
 
 
-def propose(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarray) -> Theta:
-    """Symmetric proposal for every region: mean colour always, roughness and metallic half of the time each."""
+def propose_colour(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarray) -> Theta:
+    """Symmetric proposal for every region's mean colour, in its log."""
     new, regions = theta.copy(), len(theta.m)
     common = rng.normal(size=(regions, 1)) * (rng.random((regions, 1)) < 0.5)
     new.mu = theta.mu * np.exp(width[:, None] * (common + 0.5 * rng.normal(size=(regions, 3))))
+    return new
+
+
+def propose(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarray) -> Theta:
+    """Symmetric proposal for every region: mean colour always, roughness and metallic half of the time each."""
+    new, regions = propose_colour(theta, levels, rng, width), len(theta.m)
     step = np.where(rng.random(regions) < 0.2, rng.integers(-levels, levels + 1, regions), rng.integers(-1, 2, regions))
     new.level = np.where(rng.random(regions) < 0.5, theta.level + step, theta.level)
     jump = np.where(rng.random(regions) < 0.2, rng.integers(-12, 13, regions), rng.integers(-1, 2, regions))
