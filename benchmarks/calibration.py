@@ -76,30 +76,26 @@ def statistics(prior, code: torch.Tensor, pixels: np.ndarray) -> np.ndarray:
 
 def simulate(job: tuple) -> np.ndarray:
     """Rank of the truth among the draws for every statistic."""
-    seed, draws, levels, name = job
+    seed, draws, levels, name, start = job
     torch.set_num_threads(1)
     prior, rng, noise = load_prior(name), np.random.default_rng(seed), torch.Generator().manual_seed(seed)
-    shape = (1, 3, prior.height, prior.width)
     with torch.no_grad():
-        gaussian = load_prior("gaussian_small")
-        fresh = lambda: reverse_diffusion(prior, first_noise(prior, gaussian, 1, noise), FIRST_SIGMA, 30, None, rng, noise)
-        truth = fresh()
+        gaussian = load_prior(start)
+        fresh = lambda n: reverse_diffusion(prior, first_noise(prior, gaussian, n, noise), FIRST_SIGMA, 30, None, rng, noise)
+        truth = fresh(1)
         A, pixels = lobes(prior, rng), rng.integers(prior.height * prior.width, size=8)
         observed = Observed(prior, A, torch.ones(3, ROWS))
         clean = observed.light(truth) @ A.T
         y = clean * (1 + ERROR * torch.randn(clean.shape, generator=noise)).clamp_min(0.2)
         observed = Observed(prior, A, y)
         observed.deviation = ERROR * clean                                     # the noise's own deviation is given
-        table = []
-        for _ in range(draws):
-            x = fresh()
-            z = x.reshape(3, -1)
-            for rho in map(float, widths(levels, FIRST, LAST, 4)):
-                observed.gain = noise_gain(prior.log_spread, rho)
-                z = draw_light(observed, x.reshape(3, -1), z, rho, SLICES, rng, noise)
-                x = reverse_diffusion(prior, z.reshape(shape), rho, prior_steps(rho), None, rng, noise)
-            table.append(statistics(prior, x, pixels))
-        return (np.array(table) < statistics(prior, truth, pixels)).sum(0)
+        x = z = fresh(draws)
+        for rho in map(float, widths(levels, FIRST, LAST, 4)):
+            observed.gain = noise_gain(prior.log_spread, rho)
+            z = torch.stack([draw_light(observed, *(v.reshape(3, -1) for v in pair), rho, SLICES, rng, noise) for pair in zip(x, z)])
+            x = reverse_diffusion(prior, z.reshape(x.shape), rho, prior_steps(rho), None, rng, noise)      # one network call for all
+        table = np.array([statistics(prior, code, pixels) for code in x])
+        return (table < statistics(prior, truth, pixels)).sum(0)
 
 
 def summary(ranks: np.ndarray, draws: int) -> dict:
@@ -121,11 +117,12 @@ def main() -> None:
     parser.add_argument("--simulations", type=int, default=200)
     parser.add_argument("--draws", type=int, default=7)
     parser.add_argument("--levels", type=int, default=16)
-    parser.add_argument("--prior", default="prior_small")
+    parser.add_argument("--prior", default="prior_tiny")
+    parser.add_argument("--start", default="gaussian_tiny", help="Gaussian prior of the first noise")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    jobs = [(k, args.draws, args.levels, args.prior) for k in range(args.simulations)]
+    jobs = [(k, args.draws, args.levels, args.prior, args.start) for k in range(args.simulations)]
     with ProcessPoolExecutor(args.workers) as pool:
         ranks = np.array(list(progress(pool.map(simulate, jobs), "simulations", len(jobs))))
     result = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "simulations": len(ranks), "draws": args.draws,
