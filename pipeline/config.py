@@ -105,7 +105,7 @@ class Sample(Section):
     light: int = Field(32, ge=4, le=128, description="split_gibbs: rows of the light that the operator resolves; divides the prior's")
     search_prior: str = Field("gaussian_small", description="split_gibbs: Gaussian prior of the search's light")
     search_points: int = Field(250, ge=10, description="split_gibbs: points for the search of start materials")
-    search_sweeps: int = Field(1, ge=0, description="split_gibbs: sweeps of that search over all regions, after one from each of two starts")
+    search_sweeps: int = Field(2, ge=1, description="split_gibbs: sweeps of that search over all regions, from each of two starts")
     region_steps: int = Field(100, ge=1, description="split_gibbs: Metropolis-Hastings steps of the materials per turn")
     steps: int = Field(250, ge=2, le=1000, description="dpi: noise levels, a sub-sequence of T = 1000")
     pixels: int = Field(4096, ge=16)

@@ -2,8 +2,9 @@
 from types import SimpleNamespace
 
 import numpy as np
+from scipy import stats
 
-from pipeline.posterior.likelihood import Photos, Theta
+from pipeline.posterior.likelihood import NU, Photos, Theta
 from pipeline.posterior.ours import BLOCKS, block_shares
 from pipeline.posterior.regions import group, texel_regions
 from pipeline.posterior.region_moves import CHROMA, COMMON, DIELECTRIC, METAL, METALLIC, METALLIC_PRIOR, TAIL, draw_offsets, draw_regions
@@ -83,6 +84,18 @@ def drawn_offsets(targets, sharpness) -> np.ndarray:
     photos, theta = Two(targets, sharpness), Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([4, 4]), np.zeros(2))
     draw_offsets(photos, np.zeros((8, 4, 120, 3)), theta, np.random.default_rng(0))
     return photos.offset
+
+
+def test_noise_density_is_students_t():
+    """Of three channels with one lambda, against scipy; an explained saturated row says nothing, an unexplained one less than nothing."""
+    relative = np.random.default_rng(0).normal(size=(50, 3)) ** 2
+    density = lambda eta, free, clipped: Photos.log_noise(
+        SimpleNamespace(misfit=lambda *_: (np.where(free, 0, relative), free), eta=eta, clipped=clipped), None, None, None)
+    none, flat = np.zeros((50, 3), bool), np.zeros(50, bool)
+    t = lambda eta: stats.multivariate_t(np.zeros(3), eta**2 * np.eye(3), df=NU).logpdf(np.sqrt(relative)).sum()
+    assert np.isclose(density(0.5, none, flat) - density(2.0, none, flat), t(0.5) - t(2.0))
+    first = np.arange(50) == 0
+    assert density(0.01, none, first) < density(0.01, none | first[:, None], first)
 
 
 def test_points_leave_their_region_where_the_photos_say_so():

@@ -1,9 +1,11 @@
 """Every sampler on one small scene: it draws usable maps that explain the photos, from its seed alone."""
 import numpy as np
 import pytest
+import torch
 
 from pipeline.config import Sample
 from pipeline.posterior import SAMPLERS
+from pipeline.posterior.ours import Chain
 from pipeline.prior import load_prior
 from pipeline.runtime import set_threads
 from tests.test_posterior import problem, start, toy                          # noqa: F401  (fixtures)
@@ -27,6 +29,19 @@ def error(problem, x) -> float:                                              # n
     L = problem.renderer.mean_radiance(lambda rng: problem.observations.rays(index, rng), 32, 3)
     y = problem.observations.rgb[index]
     return float(np.median(np.abs(L - y) / (y + 0.1)))
+
+
+def test_a_chain_goes_back_to_an_earlier_state(problem, start):              # noqa: F811
+    """Turns change materials, noise and light; `resume` brings all of them back, in what the photos predict too."""
+    with torch.no_grad():
+        chain = Chain(problem, load_prior("prior_small"), start[0], SMALL, 0)
+        theta, light = chain.theta, np.ones((2 * SMALL.light**2, 3))
+        chain.photos.set(theta)
+        before, state = chain.photos.value(light), chain.state()
+        chain.begin(theta.made_of(0, 1.0), chain.gaussian.flat_mean)
+        assert chain.photos.value(light) != before and chain.coefficients.any()
+        chain.resume(state)
+    assert chain.photos.value(light) == before and not chain.coefficients.any() and chain.photos.eta == 0.3
 
 
 @pytest.mark.parametrize("name", list(SAMPLERS))

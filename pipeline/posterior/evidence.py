@@ -29,7 +29,8 @@ ROWS = 16               # of the light: the modes are no finer
 ERROR, THINNING = 0.1, 3.0      # relative error, and rows per independent one, assumed during the search
 LIGHT_FIRST = 3         # steps of the light before materials are drawn
 SEARCH_COMPONENTS = 200 # leading modes of the Gaussian prior
-SATURATED = 0.05, 1.0   # weights of saturated rows in the two starts
+FEW = 0.05              # weight of saturated rows where they hardly count
+UNIFORM = [(level, m) for level in (0, 2, 5) for m in (0.0, 1.0)]       # roughness level and metallic of whole objects
 CANDIDATES = METALLIC[[0, 4, 8, 12]]
 
 
@@ -139,27 +140,34 @@ class Search:
         for part in self.parts:
             part.weight = np.where(part.clipped, weight, 1.0)
 
-    def evidence(self, theta: Theta, c: torch.Tensor) -> float:
-        """Log-evidence of materials, by Laplace's method where the light settles from c (K,)."""
-        pieces, _, c = self.settled(theta, c)
-        return light_step(pieces, c)[1] + sum(p.value for p in pieces) + log_prior(theta)
-
-    def run(self, theta: Theta, sweeps: int, rng: np.random.Generator) -> tuple[Theta, torch.Tensor]:
-        """Theta of all regions and the light's coefficients (1, K): from two starts, one of which hardly looks at saturated rows, the one
-        drawn by evidence, then `sweeps` over all regions at once and each alone.
-
-        From a flat light every saturated row is too dark, and materials that spread highlights explain them; without those rows, lamps go
-        unseen and materials that sharpen them explain the rest. Either start may end at a peak far below the other's.
-        """
-        count, found = len(self.parts), []
-        order = lambda: [list(range(count))] + [[r] for r in rng.permutation(count)]
-        for weight in SATURATED:
+    def alone(self, theta: Theta) -> tuple[float, Theta, torch.Tensor]:
+        """Log-evidence of materials by Laplace's method, where light and colours settle from a flat light; Theta and coefficients (K,) there."""
+        c = torch.zeros(self.coded.size)
+        for weight in (FEW, 1.0):
             self.count_saturated(weight)
-            found.append(self.sweep(order(), theta, torch.zeros(self.coded.size), rng))
-        theta, c = found[categorical(np.array([[self.evidence(*start) for start in found]]), rng)[0]]
-        for _ in range(sweeps):
-            theta, c = self.sweep(order(), theta, c, rng)
-        return theta, c[None]
+            pieces, _, c = self.settled(theta, c)
+            theta = joined(pieces)
+        return light_step(pieces, c)[1] + sum(p.value for p in pieces) + log_prior(theta), theta, c
+
+    def run(self, theta: Theta, sweeps: int, rng: np.random.Generator) -> list[tuple[Theta, torch.Tensor]]:
+        """Two starts, Theta of all regions and the light's coefficients (1, K), each after `sweeps` over all regions at once and each alone:
+        from `theta` and a flat light, the first sweep without much of the saturated rows (every one is too dark, and materials that spread
+        highlights would explain them); and from the material in UNIFORM that has the most evidence for all regions, with a light of its own.
+
+        Moves of one material, given the light of others, end at peaks hundreds of nats apart, and which is the true one a light of 16 rows
+        cannot always say.
+        """
+        count = len(self.parts)
+        order = lambda: [list(range(count))] + [[r] for r in rng.permutation(count)]
+        last = len(self.parts[0].lobes.levels) - 1
+        uniform = max((self.alone(theta.made_of(min(level, last), m)) for level, m in UNIFORM), key=lambda start: start[0])
+        found = [(theta, torch.zeros(self.coded.size), FEW), (*uniform[1:], 1.0)]
+        for k, (now, c, weight) in enumerate(found):
+            for sweep in range(sweeps):
+                self.count_saturated(1.0 if sweep else weight)
+                now, c = self.sweep(order(), now, c, rng)
+            found[k] = now, c[None]
+        return found
 
 
 def joined(pieces: list[Piece]) -> Theta:

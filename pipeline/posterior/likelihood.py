@@ -269,11 +269,21 @@ class Photos:
         inside = stats.norm.ppf(np.clip(low + rng.random(low.shape) * (high - low), 1e-9, 1 - 1e-9))
         return np.clip(mean + deviation * inside, 0.0, ALBEDO_MAX)
 
-    def draw_noise(self, U, W, colour: np.ndarray, rng) -> None:
-        """New eta and lambda, given the points' colours; from rows that are not saturated, for the others say little of either."""
+    def misfit(self, U, W, colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Squared relative residuals (n, 3) given the points' colours (p, 3), and where saturated rows are explained, so that it is 0."""
         predicted = colour[self.rows.point] * U + W
         free = self.clipped[:, None] & (predicted >= self.observed)
-        relative = np.where(free, 0, ((self.observed - predicted) / (self.observed + SHADE)) ** 2)
+        return np.where(free, 0, ((self.observed - predicted) / (self.observed + SHADE)) ** 2), free
+
+    def log_noise(self, U, W, colour: np.ndarray) -> float:
+        """Log-density of all residuals with lambda integrated out, Student's t of scale eta, up to a constant; saturated rows as a penalty only."""
+        relative, free = self.misfit(U, W, colour)
+        tail = 0.5 * (NU + (~free).sum(1)) * np.log1p(relative.sum(1) / (NU * self.eta**2))
+        return float(-tail.sum() - 3 * (~self.clipped).sum() * np.log(self.eta))
+
+    def draw_noise(self, U, W, colour: np.ndarray, rng) -> None:
+        """New eta and lambda, given the points' colours; from rows that are not saturated, for the others say little of either."""
+        relative, free = self.misfit(U, W, colour)
         self.weight = rng.gamma(0.5 * (NU + (~free).sum(1)), 1 / (0.5 * (NU + relative.sum(1) / self.eta**2)))
         rest = ~self.clipped
         freedom = relative[rest].size / self.kappa

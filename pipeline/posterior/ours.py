@@ -6,6 +6,7 @@ the residuals of the fit. Then the turns of turns.py, each followed by moves of 
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 
 import cv2
@@ -19,15 +20,15 @@ from ..prior import load_prior
 from ..prior.code import scale_of
 from ..transport import Transport, choose_rows
 from .coded import Coded, PixelCode
-from .evidence import Search
+from .evidence import THINNING, Search
 from .likelihood import METALLIC, Lobes, Photos, Theta, channel_effect, design_effect, metallic_step
 from .problem import Problem, generators
 from .refine import fill, gather, splat
-from .region_moves import draw_gauge, draw_offsets, draw_regions, propose, propose_colour, propose_spread
+from .region_moves import categorical, draw_gauge, draw_offsets, draw_regions, propose, propose_colour, propose_spread
 from .regions import group, texel_regions
 from .turns import LAST, Turns
 
-GAUSSIAN_TURNS = 3          # every row counted in full: what they leave over shows the noise's correlation
+GAUSSIAN_TURNS = 2          # from either start, every row counted in full: what they leave over shows the noise's correlation
 THINNED_TURNS = 1           # then with the design effect: the last turns that move the light's level freely, so with the errors it has
 WARM_UP = 150               # region steps at the search's light, for colours and noise: it is too smooth to say anything of gloss
 BLOCKS, SHAPE = 12, 2.0     # pieces of surface that err together; of their gamma weights: half the variance of a full bootstrap, the draws' own adds to it
@@ -73,10 +74,6 @@ class Chain(Turns):
         self.width, self.spread_width = (np.full(len(theta.m), 0.05) for _ in range(2))
         self.centre = float(np.log(scale_of(fit.light)))
         super().__init__(photos, theta, self.centre, prior, load_prior(settings.search_prior), settings, rng, noise)
-        light = self.search()
-        self.photos.set(self.theta)
-        for _ in range(3):
-            self.materials(light, WARM_UP // 3, propose_colour)
 
     def thin(self, light: np.ndarray) -> None:
         """Measure how many rows stand for one independent one, from the residuals under this light."""
@@ -86,13 +83,27 @@ class Chain(Turns):
         neighbours = design_effect(rows, photos.transport.position, self.obs.view[rows.observation], residual.mean(1))
         photos.kappa = channel_effect(residual) * neighbours
 
-    def search(self) -> np.ndarray:
-        """Materials to start from, by evidence; the light (M', 3) that goes with them."""
-        search = Search(self.photos, self.gaussian, self.log_scale, self.settings.search_points, self.rng)
-        self.theta, c = search.run(self.theta, self.settings.search_sweeps, self.rng)
-        code, coded = search.coded.code(c), self.gaussian_code()
-        self.coefficients = coded.coefficients(code)
-        return coded.light(code)
+    def begin(self, theta: Theta, code: torch.Tensor) -> tuple[float, tuple[dict, dict]]:
+        """First turns from materials and a code (3, m) of the Gaussian prior: how well they explain the rows, and the state they end in."""
+        photos, coded = self.photos, self.gaussian_code()
+        self.theta, self.coefficients = theta, coded.coefficients(code)
+        photos.set(theta)
+        for _ in range(3):
+            self.materials(coded.light(code), WARM_UP // 3, propose_colour)
+        code = self.turns_with_gaussian(GAUSSIAN_TURNS)
+        colour, U, W = self.colour(Coded(photos, self.gaussian, self.log_scale, 1.0).light(code))
+        return photos.log_noise(U, W, colour) / THINNING, self.state()
+
+    def state(self) -> tuple[dict, dict]:
+        """Copies of all that turns change, to go on from later by `resume`."""
+        own, photos = ("theta", "log_scale", "coefficients", "width", "spread_width"), ("eta", "weight", "offset")
+        return deepcopy({name: getattr(self, name) for name in own}), deepcopy({name: getattr(self.photos, name) for name in photos})
+
+    def resume(self, state: tuple[dict, dict]) -> None:
+        """Back to a `state`; one that is used once only."""
+        for owner, values in zip((self, self.photos), state):
+            vars(owner).update(values)
+        self.photos.set(self.theta)
 
     def colour(self, light: np.ndarray):
         U, W = self.photos.predict(light)
@@ -112,9 +123,18 @@ class Chain(Turns):
             self.photos.draw_noise(U, W, colour, self.rng)
 
     def start(self, turns: int) -> torch.Tensor:
-        """A draw under the Gaussian prior as a code (3, M) of the diffusion prior, after `turns` more with thinned rows."""
-        code = self.turns_with_gaussian(GAUSSIAN_TURNS)
-        self.thin(Coded(self.photos, self.gaussian, self.log_scale, 1.0).light(code))
+        """A draw under the Gaussian prior as a code (3, M) of the diffusion prior: from the materials that the search found, those which explain
+        the rows best after some turns, then `turns` more with thinned rows.
+        """
+        search = Search(self.photos, self.gaussian, self.log_scale, self.settings.search_points, self.rng)
+        fresh, found = self.state(), search.run(self.theta, self.settings.search_sweeps, self.rng)
+        tried = []
+        for theta, c in found:
+            self.resume(deepcopy(fresh))
+            tried.append(self.begin(theta, search.coded.code(c)))
+        self.resume(tried[categorical(np.array([[value for value, _ in tried]]), self.rng)[0]][1])
+        coded = self.gaussian_code()
+        self.thin(coded.light(coded.code(self.coefficients)))
         return self.handed_over(self.turns_with_gaussian(turns))
 
     def after_light(self, coded: Coded, code: torch.Tensor, shifts=None) -> torch.Tensor:
