@@ -133,6 +133,6 @@ def test_search_finds_the_material(photos, monkeypatch):                      # 
     colour = truth.mu[photos.region]
     photos.observed = (colour[photos.rows.point] * U + W) * (1 + 0.02 * rng.normal(size=U.shape))
     start = Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([2, 2]), np.array([0.2, 0.2]))
-    found, _ = Search(photos, prior, 0.0, 40, rng).run(start, 3, rng)
-    assert found.m[0] in CANDIDATES[2:] and found.m[1] in CANDIDATES[:2]
-    assert np.abs(found.level - truth.level).max() <= 1
+    for found, _ in Search(photos, prior, 0.0, 40, rng).run(start, 3, rng):     # from either start
+        assert found.m[0] in CANDIDATES[2:] and found.m[1] in CANDIDATES[:2]
+        assert np.abs(found.level - truth.level).max() <= 1

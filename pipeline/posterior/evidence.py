@@ -18,9 +18,9 @@ import numpy as np
 import torch
 
 from ..prior.gaussian import GaussianPrior
-from ..transport import Rows
+from ..transport import Rows, Transport
 from .coded import ModeCode, Modes
-from .likelihood import METALLIC, Photos, Theta, mix
+from .likelihood import METALLIC, Lobes, Photos, Theta, mix
 from .pooling import pooled
 from .region_moves import categorical, log_prior
 from .split_gibbs import cholesky
@@ -34,11 +34,18 @@ UNIFORM = [(level, m) for level in (0, 2, 5) for m in (0.0, 1.0)]       # roughn
 CANDIDATES = METALLIC[[0, 4, 8, 12]]
 
 
-def subset(photos: Photos, points: np.ndarray) -> Photos:
-    """Some of the points only, as one region, under lights of ROWS rows; `points` sorted."""
-    keep, transport, lobes = np.isin(photos.rows.point, points), copy(photos.transport), copy(photos.lobes)
-    index, transport.h = torch.from_numpy(np.flatnonzero(keep)), min(ROWS, transport.h)
-    lobes.direct = [pooled(F[:, index], transport.h) for F in photos.lobes.direct]
+def coarse(photos: Photos) -> tuple[Transport, Lobes]:
+    """Operator and lobes for lights of ROWS rows."""
+    transport, lobes = copy(photos.transport), copy(photos.lobes)
+    transport.h = min(ROWS, transport.h)
+    lobes.direct = [pooled(F, transport.h) for F in photos.lobes.direct]
+    return transport, lobes
+
+
+def subset(photos: Photos, transport: Transport, lobes: Lobes, points: np.ndarray) -> Photos:
+    """Some of the points only, as one region, seen by `coarse` lobes; `points` sorted."""
+    keep, lobes = np.isin(photos.rows.point, points), copy(lobes)
+    lobes.direct = [F[:, torch.from_numpy(keep)] for F in lobes.direct]
     rows = Rows(photos.rows.observation[keep], np.searchsorted(points, photos.rows.point[keep]))
     out = Photos(transport, lobes, photos.observed[keep], photos.clipped[keep], np.zeros(len(points), int), 1, rows)
     out.eta, out.kappa = ERROR, THINNING
@@ -75,10 +82,10 @@ class Search:
     """Draws of each region's roughness and metallic given the other regions'; light codes = mean + modes c with c ~ N(0, 1)."""
 
     def __init__(self, photos: Photos, gaussian: GaussianPrior, log_scale: float, points: int, rng: np.random.Generator):
-        share, self.parts = min(1.0, points / len(photos.region)), []
+        share, self.parts, small = min(1.0, points / len(photos.region)), [], coarse(photos)
         for r in range(photos.region.max() + 1):
             mine = rng.permutation(np.flatnonzero(photos.region == r))
-            self.parts.append(subset(photos, np.sort(mine[:max(8, round(share * len(mine)))])))      # small regions have a say too
+            self.parts.append(subset(photos, *small, np.sort(mine[:max(8, round(share * len(mine)))])))      # small regions have a say too
         modes = Modes(gaussian, gaussian, SEARCH_COMPONENTS, self.parts[0].transport.h)
         self.coded = ModeCode(self.parts[0], gaussian, log_scale, modes, gaussian.flat_mean)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from torch.nn.functional import avg_pool2d
 
 from ..envmap import solid_angles
 
@@ -16,7 +17,7 @@ from ..envmap import solid_angles
 def pooled(T: torch.Tensor, rows: int) -> torch.Tensor:
     """Operators (..., M) on a light as operators on one of `rows` rows, the same all over each of its pixels."""
     h = round((T.shape[-1] / 2) ** 0.5)
-    return T.reshape(*T.shape[:-1], rows, h // rows, 2 * rows, h // rows).sum((-3, -1)).flatten(-2)
+    return avg_pool2d(T.reshape(1, -1, h, 2 * h), h // rows, divisor_override=1).reshape(*T.shape[:-1], -1)
 
 
 class Pool:
