@@ -93,8 +93,8 @@ class Fit(Section):
 
 
 class Sample(Section):
-    """Posterior samples, Eqs. 13, 16, 19 of DPI."""
-    method: str = Field("dpi_paper", description="a key of pipeline.posterior.SAMPLERS")
+    """Posterior samples of light and materials."""
+    method: str = Field("split_gibbs", description="a key of pipeline.posterior.SAMPLERS")
     prior: str = Field("prior_base", description="a file stem under weights/, or a path to .safetensors")
     label: str | None = Field(None, description="class the prior is conditioned on; none: unconditional")
     smooth: int = Field(5, ge=0, le=1000, description="split_gibbs: turns of decoupled annealing before the splitting")

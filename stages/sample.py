@@ -1,4 +1,4 @@
-"""Sample: one posterior draw of light and materials (DPI, Eqs. 13, 16, 19). Independent of every other sample."""
+"""Sample: one posterior draw of light and materials. Independent of every other sample."""
 from pipeline.files import report_metrics, stage_folder
 from pipeline.stage import stage
 
