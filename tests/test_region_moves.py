@@ -5,7 +5,7 @@ import numpy as np
 from scipy import stats
 
 from pipeline.posterior.likelihood import NU, Photos, Theta
-from pipeline.posterior.ours import BLOCKS, block_shares
+from pipeline.posterior.ours import BLOCKS, SHARES, block_shares
 from pipeline.posterior.regions import group, texel_regions
 from pipeline.posterior.region_moves import CHROMA, COMMON, DIELECTRIC, METAL, METALLIC, METALLIC_PRIOR, TAIL, draw_offsets, draw_regions
 
@@ -64,6 +64,18 @@ def test_regions_follow_the_base_colour_and_not_its_shade():
     found = texel_regions(texture, centers, 32)
     expected = [label[which == k][0] for k in (0, 1, 2)]
     assert [np.median(found[:, a:b]) for a, b in ((0, 7), (9, 15), (17, 32))] == expected
+
+
+def test_draws_differ_in_what_they_take_for_one_material():
+    """The share of the spread that regions explain is drawn: four paints, two of them alike, are from two to four regions, never split oddly."""
+    rng, paints = np.random.default_rng(5), np.array([[0.6, 0.1, 0.1], [0.5, 0.14, 0.1], [0.1, 0.5, 0.2], [0.15, 0.15, 0.6]])
+    which = np.arange(400) % 4
+    colours = paints[which] * rng.uniform(0.95, 1.05, (400, 1))
+    found = [group(colours, rng.uniform(*SHARES), k)[0] for k in range(20)]
+    counts = {label.max() + 1 for label in found}
+    assert len(counts) > 1 and counts <= {2, 3, 4}
+    assert group(colours, SHARES[0])[0].max() < group(colours, SHARES[1])[0].max()
+    assert all(len(np.unique(label[which == k])) == 1 for label in found if label.max() + 1 <= 3 for k in range(4))
 
 
 class Two:

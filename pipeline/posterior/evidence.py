@@ -45,7 +45,7 @@ def coarse(photos: Photos) -> tuple[Transport, Lobes]:
 def subset(photos: Photos, transport: Transport, lobes: Lobes, points: np.ndarray) -> Photos:
     """Some of the points only, as one region, seen by `coarse` lobes; `points` sorted."""
     keep, lobes = np.isin(photos.rows.point, points), copy(lobes)
-    lobes.direct = [F[:, torch.from_numpy(keep)] for F in lobes.direct]
+    lobes.direct, lobes.off = [F[:, torch.from_numpy(keep)] for F in lobes.direct], []      # the search leaves light between parts out
     rows = Rows(photos.rows.observation[keep], np.searchsorted(points, photos.rows.point[keep]))
     out = Photos(transport, lobes, photos.observed[keep], photos.clipped[keep], np.zeros(len(points), int), 1, rows)
     out.eta, out.kappa = ERROR, THINNING
@@ -89,12 +89,12 @@ class Search:
         modes = Modes(gaussian, gaussian, SEARCH_COMPONENTS, self.parts[0].transport.h)
         self.coded = ModeCode(self.parts[0], gaussian, log_scale, modes, gaussian.flat_mean)
 
-    def linear(self, c: torch.Tensor) -> "Linear":
+    def linear(self, c: torch.Tensor) -> Linear:
         """The light at coefficients c (K,), as the regions see it."""
         code = self.coded.code(c[None])
         return Linear(self.parts, self.coded.light(code), self.coded.modes.moved(self.coded.slopes(code)[1]))
 
-    def piece(self, r: int, theta: Theta, at: "Linear") -> Piece:
+    def piece(self, r: int, theta: Theta, at: Linear) -> Piece:
         """Region r with materials theta, its colour fitted to this light."""
         part, level, m = self.parts[r], int(theta.level[0]), float(theta.m[0])
         light, modes = at.lobes(r, level)
@@ -107,14 +107,13 @@ class Search:
             H, b = H + J.T @ J, b + J.T @ whiten(torch.from_numpy(rest[:, c:c + 1].astype(np.float32)))[:, 0]
         return Piece(theta, float(part.point_values(U, W, theta).sum()), H, b)
 
-    def pieces(self, thetas: list[Theta], c: torch.Tensor) -> tuple[list[Piece], "Linear"]:
-        """Every region at its Theta, linearised at c; and what `linear` says there."""
-        at = self.linear(c)
-        return [self.piece(r, theta, at) for r, theta in enumerate(thetas)], at
+    def pieces(self, theta: Theta, at: Linear) -> list[Piece]:
+        """Every region at its part of theta."""
+        return [self.piece(r, theta.of([r]), at) for r in range(len(self.parts))]
 
-    def draw_material(self, group: list[int], pieces: list[Piece], at: "Linear", c: torch.Tensor, rng) -> tuple[list[Piece], torch.Tensor]:
-        """One roughness and metallic for all regions of `group`, or what they have, by evidence: all pieces, and the light's step
-        that goes with them (K,). at = linear(c).
+    def draw_material(self, group: list[int], pieces: list[Piece], at: Linear, c: torch.Tensor, rng) -> tuple[Theta, torch.Tensor]:
+        """One roughness and metallic for all regions of `group`, or what they have, by evidence: Theta of all regions, and the light's
+        step that goes with it (K,). at = linear(c).
         """
         choices = [(level, m) for level in range(len(self.parts[0].lobes.levels)) for m in CANDIDATES]
         changed = lambda choice: [self.piece(r, p.theta.made_of(*choice), at) if r in group else p for r, p in enumerate(pieces)]
@@ -123,23 +122,26 @@ class Search:
             step, gain = light_step(candidate, c)
             prior = log_prior(joined(candidate)) + shared(candidate, len(choices))
             found.append((gain + sum(p.value for p in candidate) + prior, candidate, step))
-        return found[categorical(np.array([[v for v, _, _ in found]]), rng)[0]][1:]
+        _, chosen, step = found[categorical(np.array([[v for v, _, _ in found]]), rng)[0]]
+        return joined(chosen), step
 
-    def settled(self, theta: Theta, c: torch.Tensor) -> tuple[list[Piece], "Linear", torch.Tensor]:
-        """Pieces of theta (of all regions) after a few steps of the light alone; `at` and coefficients (K,) there."""
-        pieces, at = self.pieces([theta.of([r]) for r in range(len(self.parts))], c)
+    def settled(self, theta: Theta, c: torch.Tensor, at: Linear) -> tuple[list[Piece], torch.Tensor, Linear]:
+        """Pieces of theta (of all regions) after a few steps of the light alone from c (K,), at = linear(c); c and `at` after them."""
+        pieces = self.pieces(theta, at)
         for _ in range(LIGHT_FIRST):
             c = damped(c, light_step(pieces, c)[0])
-            pieces, at = self.pieces([p.theta for p in pieces], c)
-        return pieces, at, c
+            at = self.linear(c)
+            pieces = self.pieces(joined(pieces), at)
+        return pieces, c, at
 
     def sweep(self, order: list[list[int]], theta: Theta, c: torch.Tensor, rng) -> tuple[Theta, torch.Tensor]:
         """Theta and coefficients (K,) after a draw for every group of `order`."""
-        pieces, at, c = self.settled(theta, c)
+        pieces, c, at = self.settled(theta, c, self.linear(c))
         for group in order:
-            pieces, step = self.draw_material(group, pieces, at, c, rng)
+            theta, step = self.draw_material(group, pieces, at, c, rng)
             c = damped(c, step)
-            pieces, at = self.pieces([p.theta for p in pieces], c)
+            at = self.linear(c)
+            pieces = self.pieces(theta, at)
         return joined(pieces), c
 
     def count_saturated(self, weight: float) -> None:
@@ -147,12 +149,12 @@ class Search:
         for part in self.parts:
             part.weight = np.where(part.clipped, weight, 1.0)
 
-    def alone(self, theta: Theta) -> tuple[float, Theta, torch.Tensor]:
-        """Log-evidence of materials by Laplace's method, where light and colours settle from a flat light; Theta and coefficients (K,) there."""
-        c = torch.zeros(self.coded.size)
+    def alone(self, theta: Theta, flat: Linear) -> tuple[float, Theta, torch.Tensor]:
+        """Log-evidence of materials by Laplace's method, where light and colours settle from the flat light; Theta and coefficients (K,) there."""
+        c, at = torch.zeros(self.coded.size), flat
         for weight in (FEW, 1.0):
             self.count_saturated(weight)
-            pieces, _, c = self.settled(theta, c)
+            pieces, c, at = self.settled(theta, c, at)
             theta = joined(pieces)
         return light_step(pieces, c)[1] + sum(p.value for p in pieces) + log_prior(theta), theta, c
 
@@ -166,9 +168,10 @@ class Search:
         """
         count = len(self.parts)
         order = lambda: [list(range(count))] + [[r] for r in rng.permutation(count)]
-        last = len(self.parts[0].lobes.levels) - 1
-        uniform = max((self.alone(theta.made_of(min(level, last), m)) for level, m in UNIFORM), key=lambda start: start[0])
-        found = [(theta, torch.zeros(self.coded.size), FEW), (*uniform[1:], 1.0)]
+        last, no_modes = len(self.parts[0].lobes.levels) - 1, torch.zeros(self.coded.size)
+        flat = self.linear(no_modes)
+        uniform = max((self.alone(theta.made_of(min(level, last), m), flat) for level, m in UNIFORM), key=lambda start: start[0])
+        found = [(theta, no_modes, FEW), (*uniform[1:], 1.0)]
         for k, (now, c, weight) in enumerate(found):
             for sweep in range(sweeps):
                 self.count_saturated(1.0 if sweep else weight)

@@ -200,13 +200,12 @@ class Photos:
 
     def sums(self, U, W, theta: Theta, precision: np.ndarray, share=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Per point and channel: sum w U^2, sum w U r, sum w r^2 over kappa, with w `precision` and r = y - mu U - W; (p, 3) each."""
-        r = self.observed - theta.mu[self.row_region] * U - W
-        counted = np.reshape((self.share if share is None else share) / self.kappa, (-1, 1))
-        return tuple(self.per_point(v) * counted for v in (precision * U * U, precision * U * r, precision * r * r))
+        r, share = self.observed - theta.mu[self.row_region] * U - W, self.share if share is None else share
+        return tuple(self.thinned(v, share) for v in (precision * U * U, precision * U * r, precision * r * r))
 
-    def energy(self, U: np.ndarray, precision: np.ndarray) -> np.ndarray:
-        """The first of `sums` alone."""
-        return self.per_point(precision * U * U) * (self.share / self.kappa)[:, None]
+    def thinned(self, rows: np.ndarray, share) -> np.ndarray:
+        """`per_point` of rows (n, 3), over kappa and with the points' shares."""
+        return self.per_point(rows) * np.reshape(share / self.kappa, (-1, 1))
 
     def point_values(self, U: np.ndarray, W: np.ndarray, theta: Theta) -> np.ndarray:
         """Log-likelihood of every point (p,), constants of the noise left out. Saturated rows always count in the determinant, so that
@@ -214,7 +213,7 @@ class Photos:
         """
         v = (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
         q, g, s = self.sums(U, W, theta, self.counted(U, W, theta))
-        all_q = self.energy(U, self.precision) if self.clipped.any() else q
+        all_q = self.thinned(self.precision * U * U, self.share) if self.clipped.any() else q
         return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * all_q)).sum(1)
 
     def value(self, light: np.ndarray) -> float:

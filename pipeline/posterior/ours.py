@@ -33,6 +33,7 @@ THINNED_TURNS = 1           # then with the design effect: the last turns that m
 WARM_UP = 150               # region steps at the search's light, for colours and noise: it is too smooth to say anything of gloss
 BLOCKS, SHAPE = 12, 2.0     # pieces of surface that err together; of their gamma weights: half the variance of a full bootstrap, the draws' own adds to it
 SOFT = 64                   # of the texture's side: roughness and metallic of the points run into each other over as much
+SHARES = 0.6, 0.97          # of the spread of colours that regions explain, drawn afresh: nobody knows how many materials there are, nor where one ends
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
 
 
@@ -64,7 +65,7 @@ class Chain(Turns):
         rows = choose_rows(self.obs, scene, settings.points, settings.views, own)
         starts = rows.starts
         rgb, clipped = rows.patch @ self.obs.rgb, rows.patch @ self.obs.clipped > 0
-        region, centers = group(gather(fit.base_color, self.obs.uv[rows.observation[starts]]))
+        region, centers = group(gather(fit.base_color, self.obs.uv[rows.observation[starts]]), rng.uniform(*SHARES), int(rng.integers(2**31)))
         self.region_map = texel_regions(fit.base_color, centers, settings.texture)
         transport = Transport(scene, problem.renderer.mesh, self.obs, rows, settings.light, round(NODES * len(starts)), own)
         lobes = Lobes(transport, problem.roughness_min, own)
@@ -91,7 +92,7 @@ class Chain(Turns):
         for _ in range(3):
             self.materials(coded.light(code), WARM_UP // 3, propose_colour)
         code = self.turns_with_gaussian(GAUSSIAN_TURNS)
-        colour, U, W = self.colour(Coded(photos, self.gaussian, self.log_scale, 1.0).light(code))
+        colour, U, W = self.colour(self.gaussian_code().light(code))
         return photos.log_noise(U, W, colour) / THINNING, self.state()
 
     def state(self) -> tuple[dict, dict]:

@@ -79,19 +79,18 @@ def shading_maps(problem: Problem, x: Explanation, spp: int, rng, chunk: int = 1
     y is the photo's value; where that is saturated, the larger of it and the prediction.
     """
     obs, size = problem.observations, x.base_color.shape[0]
-    sums, diffuse, loss = np.zeros((2, size, size, 3)), [], 0.0
+    sums, diffuse, loss = np.zeros((size, size, 4)), [], 0.0
     for k in range(0, len(obs), chunk):
         index = np.arange(k, min(k + chunk, len(obs)))
         L, scaled = shading(problem, x, index, spp, rng)
         y = np.where(obs.clipped[index][:, None], np.maximum(obs.rgb[index], L), obs.rgb[index])
-        weight = view_weight(obs.cosine[index])
-        for total, value in zip(sums, (scaled / gather(x.base_color, obs.uv[index]), np.ones_like(y))):
-            total += splat(obs.uv[index], weight * value, size)
+        seen = np.concatenate([scaled / gather(x.base_color, obs.uv[index]), np.ones((len(index), 1))], 1)
+        sums += splat(obs.uv[index], view_weight(obs.cosine[index]) * seen, size)
         diffuse.append(y - (L - scaled))
         loss += float((((y - L) / (y + SHADE)) ** 2).sum())
     blur = lambda total: cv2.GaussianBlur(total, (0, 0), max(SHADING_BLUR * size / 1024, 0.6), borderType=cv2.BORDER_REPLICATE)
-    D = blur(sums[0]) / np.maximum(blur(sums[1]), 1e-6)
-    return np.maximum(D, 1e-3), sums[1][..., 0] > 0.05, np.concatenate(diffuse), loss / (3 * len(obs))
+    D = blur(sums[..., :3]) / np.maximum(blur(sums[..., 3])[..., None], 1e-6)
+    return np.maximum(D, 1e-3), sums[..., 3] > 0.05, np.concatenate(diffuse), loss / (3 * len(obs))
 
 
 def view_weight(cosine: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 
 BRIGHTNESS = 0.35       # weight of log brightness against log chromaticity
-EXPLAINED = 0.85        # share of the spread at which no more groups are added
+EXPLAINED = 0.85        # share of the spread at which no more groups are added, unless told
 LARGEST = 6
 
 
@@ -22,14 +22,14 @@ def features(rgb: np.ndarray) -> np.ndarray:
     return np.stack([v[..., 0] - v[..., 1], v[..., 2] - v[..., 1], BRIGHTNESS * mean], -1)
 
 
-def group(rgb: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Labels (n,) of colours (n, 3) and the groups' centres in feature space."""
+def group(rgb: np.ndarray, share: float = EXPLAINED, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Labels (n,) of colours (n, 3) and the groups' centres in feature space; no more groups than explain `share` of the spread."""
     f = features(rgb)
     total = ((f - f.mean(0)) ** 2).sum()
     for count in range(1, LARGEST + 1):
         centers, label = kmeans2(f, count, seed=seed, minit="++")
         explained = 1 - ((f - centers[label]) ** 2).sum() / max(total, 1e-12)
-        if explained > EXPLAINED or total / len(f) < 1e-3:
+        if explained > share or total / len(f) < 1e-3:
             break
     used, label = np.unique(label, return_inverse=True)
     return label, centers[used]

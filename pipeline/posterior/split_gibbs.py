@@ -43,7 +43,12 @@ class LightLikelihood(Protocol):
     def adjoint(self, z: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
         """E^T J^T w of `expansion`, like z, for w (3, n); likelihoods that need not build J for it override this."""
         J, _, fold = self.expansion(z)
-        return fold.up(torch.einsum("cnk,cn->ck", J, w))
+        return transposed(J, fold, w)
+
+
+def transposed(J: torch.Tensor, fold, w: torch.Tensor) -> torch.Tensor:
+    """E^T J^T w for w (3, n)."""
+    return fold.up(torch.einsum("cnk,cn->ck", J, w))
 
 
 def noise_gain(spread: float, rho: float) -> float:
@@ -123,7 +128,7 @@ class Laplace:
             self.J, r, self.fold = likelihood.expansion(self.mode)
             self.damping = self.damping / DAMPING if self.damping > 1 else 0.0
             self.curvature = [Curvature(J, self.width) for J in self.J]
-            gain, now = self.climb(target, now, slope(self.fold.up(torch.einsum("cnk,cn->ck", self.J, data(r)))))
+            gain, now = self.climb(target, now, slope(transposed(self.J, self.fold, data(r))))
             if gain == 0 or (gain < enough and not 1 < self.damping < KINK):
                 break
             if self.damping == 0:
