@@ -85,6 +85,14 @@ def read_json(path: str | Path):
         raise InputError(f"not valid JSON ({error})", path, "repair or delete the file") from error
 
 
+def json_entry(path: str | Path, key: str):
+    """One entry of a stage's JSON; an InputError where an earlier version, which did not write it, ran the stage."""
+    found = read_json(path)
+    if key not in found:
+        raise InputError(f"no entry '{key}': an earlier version made this file", path, "delete its folder and run the stage again")
+    return found[key]
+
+
 def report_metrics(path: str | Path, metrics: dict) -> None:
     """A stage's last act: its metrics to `path` and as one JSON line to standard output."""
     write_json(path, metrics)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy import sparse
 
 from .errors import InputError
 from .files import atomic_path
@@ -27,6 +28,15 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     for corner in range(3):
         np.add.at(out, faces[:, corner], cross)
     return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-20)
+
+
+def normal_wobble(mesh: Mesh) -> float:
+    """Median angle (radians) between a vertex's normal and its neighbours' mean: of even curvature it is 0, of noise the noise's own size."""
+    i, j = mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel()
+    edges = sparse.coo_matrix((np.ones(len(i), bool), (i, j)), (len(mesh.vertices),) * 2).tocsr()
+    mean = (edges + edges.T) @ mesh.normals
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-20)
+    return float(np.median(np.arccos(np.clip((mean * mesh.normals).sum(1), -1, 1))))
 
 
 def sample_surface(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

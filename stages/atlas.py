@@ -1,5 +1,5 @@
 """Atlas: one UV set in [0, 1]^2 without overlaps; a valid given one is kept."""
-from pipeline.files import report_metrics, stage_folder
+from pipeline.files import json_entry, report_metrics, stage_folder
 from pipeline.stage import stage
 
 
@@ -7,7 +7,8 @@ def work(s):
     from pipeline.atlas import make_atlas
     with stage_folder(s.out) as out:
         metrics = make_atlas(s.args.mesh / "mesh.ply", out, s.scene.atlas)
-        report_metrics(out / "atlas.json", metrics | s.costs())
+        known = {"normal_error": json_entry(s.args.mesh / "mesh.json", "normal_error")}       # the sampler asks for it (posterior/load.py)
+        report_metrics(out / "atlas.json", metrics | known | s.costs())
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import numpy as np
 from scipy import stats
 
 from pipeline.posterior.likelihood import NU, Photos, Theta
-from pipeline.posterior.ours import BLOCKS, SHARES, block_shares
+from pipeline.posterior.ours import BLOCKS, SHARES, block_shares, sharpest
 from pipeline.posterior.regions import group, texel_regions
 from pipeline.posterior.region_moves import CHROMA, COMMON, DIELECTRIC, METAL, METALLIC, METALLIC_PRIOR, TAIL, draw_offsets, draw_regions
 
@@ -64,6 +64,14 @@ def test_regions_follow_the_base_colour_and_not_its_shade():
     found = texel_regions(texture, centers, 32)
     expected = [label[which == k][0] for k in (0, 1, 2)]
     assert [np.median(found[:, a:b]) for a, b in ((0, 7), (9, 15), (17, 32))] == expected
+
+
+def test_normals_that_wobble_show_no_sharp_lobe():
+    """alpha^2 = 2 sigma^2: exact normals set no bound, 5.5 degrees one near .34, wild ones leave rough lobes over."""
+    assert sharpest(0.0) == 0 and abs(sharpest(np.radians(5.47)) - 0.34) < 0.01 and sharpest(2.0) == 0.8
+    sigma = 0.08
+    tilts = np.linalg.norm(sigma * np.random.default_rng(0).normal(size=(20000, 2)), axis=1)
+    assert abs(sharpest(float(np.median(tilts))) ** 4 - 2 * sigma**2) < 0.05 * 2 * sigma**2
 
 
 def test_draws_differ_in_what_they_take_for_one_material():

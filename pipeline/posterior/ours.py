@@ -49,6 +49,16 @@ def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts
     return Theta(mu, np.full(count, 0.3), level, m)
 
 
+def sharpest(normal_error: float) -> float:
+    """Roughness of the sharpest lobe that normals of this median error (radians) can show.
+
+    Facets tilted by sigma per axis are a surface of alpha^2 = 2 sigma^2 (Beckmann; Olano and Baker 2010: variances of slopes add), alpha = roughness^2. A
+    sharper lobe on such normals mirrors another part of the light at every point, and so explains anything.
+    """
+    sigma = normal_error / np.sqrt(2 * np.log(2))           # the median length of two normal deviates is 1.18 sigma
+    return float(min((np.sqrt(2) * sigma) ** 0.5, 0.8))
+
+
 def block_shares(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """How much each point (p, 3) counts in this draw, mean 1: the same within a block of surface, gamma between blocks."""
     blocks = cKDTree(position[rng.choice(len(position), min(BLOCKS, len(position)), replace=False)]).query(position)[1]
@@ -68,7 +78,7 @@ class Chain(Turns):
         region, centers = group(gather(fit.base_color, self.obs.uv[rows.observation[starts]]), rng.uniform(*SHARES), int(rng.integers(2**31)))
         self.region_map = texel_regions(fit.base_color, centers, settings.texture)
         transport = Transport(scene, problem.renderer.mesh, self.obs, rows, settings.light, round(NODES * len(starts)), own)
-        lobes = Lobes(transport, problem.roughness_min, own)
+        lobes = Lobes(transport, max(problem.roughness_min, sharpest(problem.normal_error)), own)
         photos = Photos(transport, lobes, rgb, clipped, region, problem.renderer.max_depth - 1)
         photos.share = block_shares(transport.position[starts], rng)
         theta = start_materials(fit, self.obs.uv[rows.observation], region, starts, lobes.levels)
@@ -179,6 +189,7 @@ class Chain(Turns):
         coded = PixelCode(photos, self.prior, self.log_scale, LAST)
         facts = {"scale": float(np.exp(self.log_scale)), "scale_drawn": True, "rows": len(photos.rows.point),
                  "points": len(photos.region), "relative_error": photos.eta, "design_effect": photos.kappa,
+                 "sharpest_roughness": photos.lobes.levels[0],
                  "regions": [{"base_color": theta.mu[r].tolist(), "spread": float(theta.tau[r]), "metallic": float(theta.m[r]),
                               "roughness": photos.lobes.levels[theta.level[r]], "points": int((photos.region == r).sum())}
                              for r in range(len(theta.m))]}

@@ -31,10 +31,10 @@ class Batch:
 
 
 class Problem:
-    """Draws batches and evaluates the data term with its gradient."""
+    """Draws batches and evaluates the data term with its gradient. `normal_error`: median error of the mesh's normals in radians."""
 
-    def __init__(self, observations: Observations, renderer: Renderer, roughness_min: float):
-        self.observations, self.renderer, self.roughness_min = observations, renderer, roughness_min
+    def __init__(self, observations: Observations, renderer: Renderer, roughness_min: float, normal_error: float = 0.0):
+        self.observations, self.renderer, self.roughness_min, self.normal_error = observations, renderer, roughness_min, normal_error
 
     def batch(self, pixels: int, spp: int, rng: np.random.Generator, view: int | None = None) -> Batch:
         """Random pixels of all views, or of one."""

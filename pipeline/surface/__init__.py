@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..files import read_json
 from ..images import linear_to_srgb, luminance, read_exr, read_png, write_png
 from ..masks.agreement import hull_points
-from ..mesh_io import Mesh, load_mesh, save_mesh
+from ..mesh_io import Mesh, load_mesh, normal_wobble, save_mesh
 from ..voxels import Grid
 from .clean import facts, simplify, to_mesh
 from .field import hull_of, projections, stacked, stereo_field
@@ -98,18 +98,20 @@ def build_field(rig: Rig, poses: Path, masks: dict, confidence: dict, settings: 
 
 
 def make_mesh(poses: Path, masks_folder: Path, scene: Path, out: Path, settings: MeshSettings, threads: int) -> dict:
-    """Write mesh.ply and preview.png into `out`; returns metrics and facts."""
+    """Write mesh.ply and preview.png into `out`; returns metrics and facts, among them the normals' error in radians, 0 for a given mesh: its
+    wobble is meant.
+    """
     rig = load_cameras(poses / "cameras.json")
     mesh = given_mesh(scene, rig)
     if mesh is not None:
         given = True
-        metrics = {"method": "given", "why": "the scene folder has a mesh"} | facts(mesh)
+        metrics = {"method": "given", "why": "the scene folder has a mesh", "normal_error": 0.0} | facts(mesh)
     else:
         masks = {v.name: read_png(masks_folder / "masks" / f"{v.name}.png") > 127 for v in rig.views}
         given = read_json(masks_folder / "masks.json")["method"] == "given"
         field, grid, metrics = build_field(rig, poses, masks, read_json(masks_folder / "confidence.json"), settings, given, threads)
         mesh, more = simplify(to_mesh(field, grid), settings.faces)
-        metrics |= more | {"cell": grid.cell, "warnings": warnings_of(rig, masks)}
+        metrics |= more | {"cell": grid.cell, "normal_error": normal_wobble(mesh), "warnings": warnings_of(rig, masks)}
     save_mesh(out / "mesh.ply", mesh)
     write_png(out / "preview.png", shaded(mesh))
     metrics["mask_share_without_surface"] = surface_masks(rig, masks_folder / "masks", mesh, out / "masks",
