@@ -2,10 +2,11 @@
 import numpy as np
 import pytest
 import torch
+from scipy import stats
 
 from pipeline.optics import Explanation, Renderer
 from pipeline.posterior.likelihood import Lobes, Photos, Theta, channel_effect, design_effect, mix
-from pipeline.posterior.problem import SHADE
+from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.transport import LOBES, Rows, Transport, bilinear, choose_rows, lobe
 from pipeline.runtime import mitsuba as mi
 import drjit as dr
@@ -127,16 +128,18 @@ def photos(transport):
 
 
 def dense_value(photos, light) -> float:
-    """log N(y; mu U + W, D kappa / share + v U U') without the noise's constants."""
+    """log of the integral of N(a; mu, v) on [0, ALBEDO_MAX] times N(y; a U + W, D kappa / share) over a, without the noise's constants."""
     U, W = photos.predict(light)
-    total = 0.0
+    a, total = np.linspace(0, ALBEDO_MAX, 8001), 0.0
     for p in range(len(photos.region)):
         k, r = photos.rows.point == p, photos.region[p]
         for c in range(3):
-            mu, v = photos.theta.mu[r, c], (photos.theta.tau[r] * photos.theta.mu[r, c]) ** 2
-            D = np.diag(photos.kappa / photos.share[p] * (photos.eta * (photos.observed[k, c] + SHADE)) ** 2 / photos.weight[k])
-            S, e = D + v * np.outer(U[k, c], U[k, c]), photos.observed[k, c] - mu * U[k, c] - W[k, c]
-            total -= 0.5 * (e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1] - np.linalg.slogdet(D)[1])
+            mu = photos.theta.mu[r, c]
+            prior = stats.norm(mu, photos.theta.tau[r] * mu)
+            D = photos.kappa / photos.share[p] * (photos.eta * (photos.observed[k, c] + SHADE)) ** 2 / photos.weight[k]
+            e = photos.observed[k, c] - a[:, None] * U[k, c] - W[k, c]
+            log = -0.5 * (e**2 / D).sum(1) + prior.logpdf(a) - np.log(prior.cdf(ALBEDO_MAX) - prior.cdf(0))
+            total += log.max() + np.log(np.trapezoid(np.exp(log - log.max()), a))
     return total
 
 

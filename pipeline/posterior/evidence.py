@@ -63,12 +63,12 @@ class Piece:
 
 
 class Linear:
-    """What the lobes of every region make of a light (M', 3) and of its changes per mode (3, K, M'): small matrices, of which those of any
-    metallic are mixed.
+    """What the lobes of every region make of the light (M', 3) of coefficients c (K,) and of its changes per mode (3, K, M'): small matrices,
+    of which those of any metallic are mixed.
     """
 
-    def __init__(self, parts: list[Photos], light: np.ndarray, moved: torch.Tensor):
-        self.parts, self.light, self.moved, self.known = parts, torch.from_numpy(light.astype(np.float32)), moved, {}
+    def __init__(self, parts: list[Photos], c: torch.Tensor, light: np.ndarray, moved: torch.Tensor):
+        self.parts, self.c, self.light, self.moved, self.known = parts, c, torch.from_numpy(light.astype(np.float32)), moved, {}
 
     def lobes(self, r: int, level: int) -> tuple[np.ndarray, torch.Tensor]:
         """Region r's four lobes at a roughness level: under the light (4, n, 3), and under its modes (3, 4, n, K)."""
@@ -92,7 +92,12 @@ class Search:
     def linear(self, c: torch.Tensor) -> Linear:
         """The light at coefficients c (K,), as the regions see it."""
         code = self.coded.code(c[None])
-        return Linear(self.parts, self.coded.light(code), self.coded.modes.moved(self.coded.slopes(code)[1]))
+        return Linear(self.parts, c, self.coded.light(code), self.coded.modes.moved(self.coded.slopes(code)[1]))
+
+    def stepped(self, theta: Theta, at: Linear, step: torch.Tensor) -> tuple[list[Piece], Linear]:
+        """The light moved by a step (K,): pieces of theta (of all regions) there."""
+        there = self.linear(damped(at.c, step))
+        return self.pieces(theta, there), there
 
     def piece(self, r: int, theta: Theta, at: Linear) -> Piece:
         """Region r with materials theta, its colour fitted to this light."""
@@ -111,38 +116,34 @@ class Search:
         """Every region at its part of theta."""
         return [self.piece(r, theta.of([r]), at) for r in range(len(self.parts))]
 
-    def draw_material(self, group: list[int], pieces: list[Piece], at: Linear, c: torch.Tensor, rng) -> tuple[Theta, torch.Tensor]:
+    def draw_material(self, group: list[int], pieces: list[Piece], at: Linear, rng) -> tuple[Theta, torch.Tensor]:
         """One roughness and metallic for all regions of `group`, or what they have, by evidence: Theta of all regions, and the light's
-        step that goes with it (K,). at = linear(c).
+        step that goes with it (K,).
         """
         choices = [(level, m) for level in range(len(self.parts[0].lobes.levels)) for m in CANDIDATES]
         changed = lambda choice: [self.piece(r, p.theta.made_of(*choice), at) if r in group else p for r, p in enumerate(pieces)]
         found = []
         for candidate in [pieces] + [changed(choice) for choice in choices]:
-            step, gain = light_step(candidate, c)
+            step, gain = light_step(candidate, at.c)
             prior = log_prior(joined(candidate)) + shared(candidate, len(choices))
             found.append((gain + sum(p.value for p in candidate) + prior, candidate, step))
         _, chosen, step = found[categorical(np.array([[v for v, _, _ in found]]), rng)[0]]
         return joined(chosen), step
 
-    def settled(self, theta: Theta, c: torch.Tensor, at: Linear) -> tuple[list[Piece], torch.Tensor, Linear]:
-        """Pieces of theta (of all regions) after a few steps of the light alone from c (K,), at = linear(c); c and `at` after them."""
+    def settled(self, theta: Theta, at: Linear) -> tuple[list[Piece], Linear]:
+        """Pieces of theta (of all regions) after a few steps of the light alone."""
         pieces = self.pieces(theta, at)
         for _ in range(LIGHT_FIRST):
-            c = damped(c, light_step(pieces, c)[0])
-            at = self.linear(c)
-            pieces = self.pieces(joined(pieces), at)
-        return pieces, c, at
+            pieces, at = self.stepped(joined(pieces), at, light_step(pieces, at.c)[0])
+        return pieces, at
 
     def sweep(self, order: list[list[int]], theta: Theta, c: torch.Tensor, rng) -> tuple[Theta, torch.Tensor]:
         """Theta and coefficients (K,) after a draw for every group of `order`."""
-        pieces, c, at = self.settled(theta, c, self.linear(c))
+        pieces, at = self.settled(theta, self.linear(c))
         for group in order:
-            theta, step = self.draw_material(group, pieces, at, c, rng)
-            c = damped(c, step)
-            at = self.linear(c)
-            pieces = self.pieces(theta, at)
-        return joined(pieces), c
+            theta, step = self.draw_material(group, pieces, at, rng)
+            pieces, at = self.stepped(theta, at, step)
+        return joined(pieces), at.c
 
     def count_saturated(self, weight: float) -> None:
         """How much saturated rows count from now on."""
@@ -151,12 +152,12 @@ class Search:
 
     def alone(self, theta: Theta, flat: Linear) -> tuple[float, Theta, torch.Tensor]:
         """Log-evidence of materials by Laplace's method, where light and colours settle from the flat light; Theta and coefficients (K,) there."""
-        c, at = torch.zeros(self.coded.size), flat
+        at = flat
         for weight in (FEW, 1.0):
             self.count_saturated(weight)
-            pieces, c, at = self.settled(theta, c, at)
+            pieces, at = self.settled(theta, at)
             theta = joined(pieces)
-        return light_step(pieces, c)[1] + sum(p.value for p in pieces) + log_prior(theta), theta, c
+        return light_step(pieces, at.c)[1] + sum(p.value for p in pieces) + log_prior(theta), theta, at.c
 
     def run(self, theta: Theta, sweeps: int, rng: np.random.Generator) -> list[tuple[Theta, torch.Tensor]]:
         """Two starts, Theta of all regions and the light's coefficients (1, K), each after `sweeps` over all regions at once and each alone:
@@ -168,10 +169,9 @@ class Search:
         """
         count = len(self.parts)
         order = lambda: [list(range(count))] + [[r] for r in rng.permutation(count)]
-        last, no_modes = len(self.parts[0].lobes.levels) - 1, torch.zeros(self.coded.size)
-        flat = self.linear(no_modes)
+        last, flat = len(self.parts[0].lobes.levels) - 1, self.linear(torch.zeros(self.coded.size))
         uniform = max((self.alone(theta.made_of(min(level, last), m), flat) for level, m in UNIFORM), key=lambda start: start[0])
-        found = [(theta, no_modes, FEW), (*uniform[1:], 1.0)]
+        found = [(theta, flat.c, FEW), (*uniform[1:], 1.0)]
         for k, (now, c, weight) in enumerate(found):
             for sweep in range(sweeps):
                 self.count_saturated(1.0 if sweep else weight)

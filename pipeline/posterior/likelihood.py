@@ -3,11 +3,12 @@
 Rows i of surface point p in region r, per channel (see transport.py for the lobes):
 
     y_i = a_p U_i + W_i + e_i,   U = (1 - m) A + m (M1 - M0),   W = (1 - m) S + m M0   (each applied to the light)
-    a_p ~ N(mu_r, tau_r^2 mu_r^2)                       base colour varies about its region's mean
+    a_p ~ N(mu_r, tau_r^2 mu_r^2) on [0, ALBEDO_MAX]    base colour varies about its region's mean
     e_i ~ N(0, eta^2 (y_i + SHADE)^2 / lambda_i)        lambda_i ~ Gamma(NU / 2, NU / 2): Student's t, outliers count less
 
-so y_p ~ N(mu U + W, D + v U U') with v = tau^2 mu^2, in closed form by the rank-one identities. A region of one colour
-tells of the light by its shading, a busy texture does not, and the data decide which it is.
+so y_p ~ N(mu U + W, D + v U U') with v = tau^2 mu^2, in closed form by the rank-one identities, times the share of a_p given y_p that is
+possible over the share of a_p that is: a light too dim for the brightest points is no explanation. A region of one colour
+tells of the light by its shading, a busy texture does not, and the data decide which it is. (The linearisations leave the bounds out.)
 
 Neighbouring rows err together (a wrong normal, a wrong camera): the log-likelihood is divided by the design effect
 kappa, measured from residuals. A saturated row is a lower bound: it counts, at the clip level, only while it is predicted darker
@@ -22,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy import sparse, stats
+from scipy import sparse, special, stats
 from scipy.spatial import cKDTree
 
 from ..transport import Rows, Transport
@@ -214,7 +215,8 @@ class Photos:
         v = (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
         q, g, s = self.sums(U, W, theta, self.counted(U, W, theta))
         all_q = self.thinned(self.precision * U * U, self.share) if self.clipped.any() else q
-        return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * all_q)).sum(1)
+        possible = log_possible(*self.colours(q, g, theta)) - log_possible(theta.mu, (theta.tau[:, None] * theta.mu) ** 2)[self.region]
+        return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * all_q) + possible).sum(1)
 
     def value(self, light: np.ndarray) -> float:
         return float(self.point_values(*self.predict(light), self.theta).sum())
@@ -288,6 +290,15 @@ class Photos:
         freedom = relative[rest].size / self.kappa
         scale = (self.weight[rest, None] * relative[rest]).sum() / self.kappa
         self.eta = float(np.sqrt((0.5 * scale + 1e-4) / rng.gamma(0.5 * freedom + 1.0)))
+
+
+def log_possible(mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Log-probability that normal base colours lie in [0, ALBEDO_MAX], accurate far outside too."""
+    deviation = np.sqrt(np.maximum(variance, 1e-10))
+    low, high = -mean / deviation, (ALBEDO_MAX - mean) / deviation
+    low, high = np.where(low > 0, -high, low), np.where(low > 0, -low, high)            # log_ndtr is accurate below 0
+    upper = special.log_ndtr(high)
+    return upper + np.log1p(-np.exp(special.log_ndtr(low) - upper))
 
 
 def channel_effect(residual: np.ndarray) -> float:

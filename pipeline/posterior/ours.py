@@ -21,7 +21,7 @@ from ..prior.code import scale_of
 from ..transport import Transport, choose_rows
 from .coded import Coded, PixelCode
 from .evidence import THINNING, Search
-from .likelihood import METALLIC, Lobes, Photos, Theta, channel_effect, design_effect, metallic_step
+from .likelihood import LEVELS, METALLIC, Lobes, Photos, Theta, channel_effect, design_effect, metallic_step
 from .problem import Problem, generators
 from .refine import fill, gather, splat
 from .region_moves import categorical, draw_gauge, draw_offsets, draw_regions, propose, propose_colour, propose_spread
@@ -56,7 +56,7 @@ def sharpest(normal_error: float) -> float:
     sharper lobe on such normals mirrors another part of the light at every point, and so explains anything.
     """
     sigma = normal_error / np.sqrt(2 * np.log(2))           # the median length of two normal deviates is 1.18 sigma
-    return float(min((np.sqrt(2) * sigma) ** 0.5, 0.8))
+    return float(min((np.sqrt(2) * sigma) ** 0.5, LEVELS[-2]))
 
 
 def block_shares(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
