@@ -42,7 +42,7 @@ from pipeline.progress import progress
 from pipeline.runtime import set_threads
 from pipeline.transport import STEEP, Rows, Transport
 
-POINTS, ERROR, COLOUR, VIEWED = 150, 0.03, 0.8, 0.35
+POINTS, ERROR, COLOUR, VIEWED = 300, 0.03, 0.8, 0.35
 Y_UP = [1, 2, 0]        # the lattice begins at the last axis
 VIEWS = (1, 2, 4, 8, 16, 32)
 BLOCKS = 8              # rows of the light over which luminance is averaged
@@ -67,8 +67,8 @@ class Sphere:
 
 def ball(folder: Path) -> tuple[object, Path]:
     """Mitsuba scene and file of a finely meshed unit sphere."""
-    import open3d as o3d
-    from pipeline.runtime import mitsuba as mi
+    from pipeline.runtime import import_open3d, mitsuba as mi
+    o3d = import_open3d()
     sphere, path = o3d.geometry.TriangleMesh.create_sphere(1.0, 80), folder / "ball.ply"
     vertices = np.asarray(sphere.vertices)
     save_mesh(path, Mesh(vertices, np.asarray(sphere.triangles), vertices / np.linalg.norm(vertices, axis=1, keepdims=True)))

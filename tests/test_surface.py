@@ -8,6 +8,7 @@ from pipeline.config import Atlas
 from pipeline.errors import InputError
 from pipeline.masks.agreement import agreement, hull_points
 from pipeline.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh, vertex_normals
+from pipeline.runtime import import_open3d
 from pipeline.surface import coarse_hull, fuse, given_mesh
 from pipeline.surface.clean import facts, largest_solid, signed_volume, simplify, to_mesh
 from pipeline.surface.field import hull_of
@@ -151,7 +152,7 @@ def test_wobble_of_normals_is_that_of_their_noise():
     """An even sphere has none; normals tilted by 4 degrees per axis wobble by such tilts' median length, 1.18 times 4, and the mean of six
     neighbours' noise on top.
     """
-    import open3d as o3d
+    o3d = import_open3d()
     ico = o3d.geometry.TriangleMesh.create_icosahedron().subdivide_loop(4)
     unit = lambda v: v / np.linalg.norm(v, axis=1, keepdims=True)
     even = unit(np.asarray(ico.vertices))
