@@ -14,6 +14,8 @@ import os
 import sys
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from .errors import InputError
 
 VARIANT = "llvm_ad_rgb"
@@ -82,12 +84,14 @@ def import_open3d():
 
 
 def set_threads(count: int) -> None:
-    """Give Dr.Jit, torch and OpenCV `count` threads each, whichever of them are loaded.
+    """Give Dr.Jit, torch, OpenCV and the BLAS of numpy and scipy `count` threads each, whichever of them are loaded.
 
-    Floating-point sums depend on the number of threads; a stage whose result must be bit-identical fixes it.
+    Floating-point sums depend on the number of threads; a stage whose result must be bit-identical fixes it. The variables are for
+    libraries loaded from now on: a BLAS reads them once, when it is loaded.
     """
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ[variable] = str(count)
+    threadpool_limits(count)
     if "mitsuba" in sys.modules:
         import drjit
         drjit.set_thread_count(count)

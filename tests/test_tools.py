@@ -1,11 +1,13 @@
 """Small shared tools: whole files, progress, metrics, code digests, doctor."""
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from pipeline.errors import InputError, nearest
 from pipeline.files import atomic_path, read_json, stage_folder, write_json
 from pipeline.metrics import light_psnr, psnr
 from pipeline.progress import progress
+from pipeline.runtime import set_threads
 from pipeline.workflow import code_digest, only_one_run
 
 
@@ -91,3 +93,14 @@ def test_doctor_renders(monkeypatch):
     assert "8x8" in doctor.render()
     monkeypatch.setattr(doctor, "STACK", ("no-such-package",))
     assert doctor.versions() == [(False, "no-such-package is missing: pip install -r requirements.lock")]
+
+
+def test_threads_reach_a_blas_that_is_loaded():
+    """It read its variables when numpy was imported; with another number its sums are others."""
+    before = {pool["filepath"]: pool["num_threads"] for pool in threadpool_info()}
+    assert before
+    try:
+        set_threads(1)
+        assert all(pool["num_threads"] == 1 for pool in threadpool_info())
+    finally:
+        set_threads(max(before.values()))
