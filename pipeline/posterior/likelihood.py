@@ -212,10 +212,11 @@ class Photos:
         """Log-likelihood of every point (p,), constants of the noise left out. Saturated rows always count in the determinant, so that
         none gains by falling silent.
         """
-        v = (theta.tau[self.region, None] * theta.mu[self.region]) ** 2
+        spread = (theta.tau[:, None] * theta.mu) ** 2
+        v = spread[self.region]
         q, g, s = self.sums(U, W, theta, self.counted(U, W, theta))
         all_q = self.thinned(self.precision * U * U, self.share) if self.clipped.any() else q
-        possible = log_possible(*self.colours(q, g, theta)) - log_possible(theta.mu, (theta.tau[:, None] * theta.mu) ** 2)[self.region]
+        possible = log_possible(*self.colours(q, g, theta)) - log_possible(theta.mu, spread)[self.region]
         return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * all_q) + possible).sum(1)
 
     def value(self, light: np.ndarray) -> float:
