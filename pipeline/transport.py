@@ -7,8 +7,8 @@ for which there is a short list of levels. (Exact to rounding for Mitsuba's `pri
 
 Direct light: one jittered direction per cell of a lat-long grid plus directions drawn from the highlight, combined by
 the balance heuristic (Veach 1997), so that mirrors and chalk are both resolved. Light from the object onto itself:
-radiosity between surface points, the emitters diffuse with the material's albedo (Goral et al. 1984), as many bounces
-as the path tracer is given.
+radiosity between surface points, the emitters diffuse with the albedo that the material's lobes have (Goral et al. 1984), as many
+bounces as the path tracer is given.
 
 Letters: n rows, p points, q radiosity nodes (the points first), M = h w light pixels in row-major order.
 """
@@ -16,12 +16,13 @@ Letters: n rows, p points, q radiosity nodes (the points first), M = h w light p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from .envmap import solid_angles, uv_from_direction
+from .envmap import directions, solid_angles, uv_from_direction
 from .errors import InputError
 from .mesh_io import load_mesh, sample_surface
 from .observe import Observations
@@ -30,6 +31,8 @@ import drjit as dr                                             # noqa: E402  (af
 
 LOBES = ("diffuse", "dielectric", "metal white", "metal black")
 HIGHLIGHT_SAMPLES = 32      # directions per row drawn from the highlight
+FINER = 16                  # quadrature of a light pixel's hat, per side
+ALBEDO_SAMPLES = 1 << 16    # of a lobe's albedo: good to .3 %
 PATCH = 2.0                 # radius in pixels over which photos are averaged
 STEEP = 0.3                 # rows with a smaller cosine of incidence are left out: their pixel covers much surface
 LANES = 1 << 18             # directions evaluated at once: bounds memory, and keeps transposes in the cache
@@ -113,6 +116,23 @@ def grid_directions(h: int, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
     return np.stack([c * np.sin(lon), z, c * np.cos(lon)], -1).reshape(-1, 3), solid_angles(h, 2 * h).reshape(-1)
 
 
+def light_weights(d: np.ndarray, solid: np.ndarray, h: int) -> sparse.csr_matrix:
+    """Bilinear weights (k, M) of light pixels for directions d (k, 3) that stand for solid angles `solid` (k,), each pixel's scaled so that together
+    it has the solid angle that its bilinear hat has. Jitter alone would make a lamp in one pixel a sixth brighter or darker than it is.
+    """
+    index, weight = bilinear(d, h)
+    W = sparse.csr_matrix((weight.ravel(), (np.repeat(np.arange(len(d)), 4), index.ravel())), (len(d), 2 * h * h))
+    return (W @ sparse.diags(hat_solid_angles(h) / (solid @ W))).tocsr()
+
+
+@lru_cache
+def hat_solid_angles(h: int) -> np.ndarray:
+    """Integral (M,) over the sphere of the bilinear hat of every pixel of a light with h rows."""
+    fine = FINER * h
+    index, weight = bilinear(directions(fine, 2 * fine).reshape(-1, 3), h)
+    return np.bincount(index.ravel(), (weight * solid_angles(fine, 2 * fine).reshape(-1, 1)).ravel(), 2 * h * h)
+
+
 def lobe(metallic: float, color: float, roughness: float):
     return mi.load_dict({"type": "principled", "specular": 0.5, "base_color": {"type": "rgb", "value": color},
                          "metallic": metallic, "roughness": roughness})
@@ -140,6 +160,27 @@ class Lobes:
         return self.parts[2].sample(self.context, si, sampler.next_1d(), sampler.next_2d())[0].wo
 
 
+@lru_cache
+def lobe_albedo(roughness: float) -> np.ndarray:
+    """Share of uniform light that each lobe reflects (4,): f cos over both hemispheres' cosines, by the balance heuristic between directions
+    of the diffuse lobe and of the highlight. A rough metal has no more than .4, for what its facets reflect twice is not in the BSDF.
+    """
+    lobes, rng, n = Lobes(roughness), np.random.default_rng(0), ALBEDO_SAMPLES
+    si = dr.zeros(mi.SurfaceInteraction3f, n)
+    si.wi = cosine_directions(n, rng)
+    total = np.zeros(4)
+    for wo in (cosine_directions(n, rng), lobes.sample_highlight(si, 0)):
+        density = np.array(dr.maximum(wo.z, 0)) / np.pi + lobes.highlight_density(si, wo)
+        total += (np.nan_to_num(lobes(si, wo)) / np.maximum(density, 1e-6)).mean(1)
+    return total
+
+
+def cosine_directions(n: int, rng: np.random.Generator):
+    """n directions in the local frame with density cosine / pi."""
+    square = mi.Point2f(rng.random((2, n), np.float32))
+    return mi.warp.square_to_cosine_hemisphere(square)
+
+
 class Transport:
     """T for rows of a scene. Build once per geometry; `at` gives the lobes' matrices for one roughness level.
 
@@ -156,9 +197,7 @@ class Transport:
         self.position = np.array(si.p).T
         self.sample_h = max(h, 32)
         self.d, self.solid = grid_directions(self.sample_h, self.rng)
-        index, weight = bilinear(self.d, h)
-        cells = len(self.d)
-        self.to_light = sparse.csr_matrix((weight.ravel(), (np.repeat(np.arange(cells), 4), index.ravel())), (cells, 2 * h * h))
+        self.to_light = light_weights(self.d, self.solid, h)
         first = rows.starts
         self._place_nodes(mesh_path, self.position[first], self.frame[first, 2], nodes)
         self._visibility()

@@ -37,19 +37,22 @@ def ring():
     return make
 
 
-@pytest.fixture(scope="session")
-def ball(tmp_path_factory) -> Path:
-    """A sphere of radius 0.5 with an atlas, as a folder like the atlas stage's."""
+def save_surface(folder: Path, distance: np.ndarray, axis: np.ndarray) -> None:
+    """The zero surface of signed distances on a cubic grid, with an atlas, as a folder like the atlas stage's."""
     from skimage.measure import marching_cubes
 
     from pipeline.atlas import make_atlas
     from pipeline.config import Atlas
     from pipeline.mesh_io import Mesh, save_mesh, vertex_normals
-    folder = tmp_path_factory.mktemp("ball")
-    axis = np.linspace(-0.7, 0.7, 22)
-    distance = np.sqrt(sum(g**2 for g in np.meshgrid(axis, axis, axis, indexing="ij"))) - 0.5
     vertices, faces, _, _ = marching_cubes(-distance.astype(np.float32), 0.0, gradient_direction="ascent")
-    vertices = vertices * (axis[1] - axis[0]) - 0.7
+    vertices = vertices * (axis[1] - axis[0]) + axis[0]
     save_mesh(folder / "mesh.ply", Mesh(vertices, faces, vertex_normals(vertices, faces)))
     make_atlas(folder / "mesh.ply", folder, Atlas(resolution=64, padding=1))
+
+
+@pytest.fixture(scope="session")
+def ball(tmp_path_factory) -> Path:
+    """A sphere of radius 0.5 as a folder."""
+    folder, axis = tmp_path_factory.mktemp("ball"), np.linspace(-0.7, 0.7, 22)
+    save_surface(folder, np.sqrt(sum(g**2 for g in np.meshgrid(axis, axis, axis, indexing="ij"))) - 0.5, axis)
     return folder

@@ -4,37 +4,29 @@ import pytest
 import torch
 from scipy import stats
 
+from pipeline.cameras import Rig, View, save_cameras
+from pipeline.observe import Observations, Tracer
 from pipeline.optics import Explanation, Renderer
 from pipeline.posterior.likelihood import Lobes, Photos, Theta, channel_effect, design_effect, mix
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.transport import LOBES, Rows, Transport, bilinear, choose_rows, lobe
 from pipeline.runtime import mitsuba as mi
+from tests.conftest import look_at, save_surface
 import drjit as dr
 
 MATERIALS = [(0.15, 0.0, 0.5), (0.7, 0.0, 0.8), (0.25, 1.0, 0.7), (0.5, 0.4, 0.3)]          # roughness, metallic, base colour
 
 
-@pytest.fixture(scope="module")
-def scene(ball, tmp_path_factory):
-    """Renderer, observations of the ball by a ring of cameras under a light with a lamp, and that light."""
-    from pipeline.cameras import Rig, View, save_cameras
-    from pipeline.observe import Observations
-    from tests.conftest import look_at
-    renderer = Renderer(ball / "mesh_uv.ply", 32, 8, 4)
-    views = []
+def seen(mesh, radius, height, folder) -> Observations:
+    """What a ring of 8 cameras sees of a mesh around the origin."""
+    views, columns, tracer = [], {"view": [], "pixel": [], "cosine": []}, Tracer(mesh)
     for k in range(8):
         a = 2 * np.pi * k / 8
-        views.append(View(f"v{k}", "", 48, 48, 70, 70, 24, 24, look_at([3 * np.sin(a), 1.2, 3 * np.cos(a)])))
-    folder = tmp_path_factory.mktemp("seen")
+        views.append(View(f"v{k}", "", 48, 48, 70, 70, 24, 24, look_at([radius * np.sin(a), height, radius * np.cos(a)])))
     save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.8, "transforms.json"))
-    light = np.random.default_rng(1).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
-    light[2, 5] = 12
-    columns = {"view": [], "pixel": [], "cosine": []}
-    from pipeline.observe import Tracer
-    tracer = Tracer(ball / "mesh_uv.ply")
     for k, v in enumerate(views):
         rows, cols = np.mgrid[0:48, 0:48].reshape(2, -1)
-        uv, cosine, hit = tracer.hit(*v.rays(np.stack([cols + 0.5, rows + 0.5], -1)))
+        _, cosine, hit = tracer.hit(*v.rays(np.stack([cols + 0.5, rows + 0.5], -1)))
         columns["view"].append(np.full(hit.sum(), k))
         columns["pixel"].append(np.stack([cols, rows], -1)[hit])
         columns["cosine"].append(cosine[hit])
@@ -42,7 +34,31 @@ def scene(ball, tmp_path_factory):
     n = len(table["view"])
     np.savez(folder / "observations.npz", **table, rgb=np.zeros((n, 3), np.float32), clipped=np.zeros(n, bool),
              uv=np.zeros((n, 2), np.float32), views=np.array([v.name for v in views]), held_out=np.array([], str))
-    return renderer, Observations(folder, folder / "cameras.json"), light
+    return Observations(folder, folder / "cameras.json")
+
+
+def uniform(light, roughness, metallic, base_color) -> Explanation:
+    """One material all over, textures of side 32."""
+    constant = lambda v, *shape: np.full((32, 32) + shape, v, np.float32)
+    return Explanation(light, constant(base_color, 3), constant(roughness), constant(metallic))
+
+
+@pytest.fixture(scope="module")
+def scene(ball, tmp_path_factory):
+    """Renderer, observations of the ball by a ring of cameras under a light with a lamp, and that light."""
+    light = np.random.default_rng(1).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
+    light[2, 5] = 12
+    return Renderer(ball / "mesh_uv.ply", 32, 8, 4), seen(ball / "mesh_uv.ply", 3, 1.2, tmp_path_factory.mktemp("seen")), light
+
+
+@pytest.fixture(scope="module")
+def bowl(tmp_path_factory):
+    """A thick bowl that is open upwards, seen from above: renderer, observations."""
+    folder, axis = tmp_path_factory.mktemp("bowl"), np.linspace(-0.7, 0.7, 44)
+    grid = np.meshgrid(axis, axis, axis, indexing="ij")
+    radius = np.sqrt(sum(g**2 for g in grid))
+    save_surface(folder, np.maximum(np.maximum(radius - 0.6, 0.42 - radius), grid[1] - 0.1), axis)
+    return Renderer(folder / "mesh_uv.ply", 32, 8, 6), seen(folder / "mesh_uv.ply", 1.2, 2.4, folder)
 
 
 @pytest.fixture(scope="module")
@@ -97,13 +113,47 @@ def test_operator_equals_path_tracer(scene, transport, r, m, a):
     renderer, observations, light = scene
     F, off = transport.at(r, 1)
     U, W = mix(F @ light.reshape(-1, 3), m)
-    constant = lambda v, *shape: np.full((32, 32) + shape, v, np.float32)
-    renderer.set(Explanation(light, constant(a, 3), constant(r), constant(m)))
+    renderer.set(uniform(light, r, m, a))
     o, d = observations.centre_rays(transport.rows.observation)
     truth = renderer.mean_radiance(lambda rng: (o, d), 512, 0)
     assert abs((a * U + W).mean() / truth.mean() - 1) < 0.02
     assert np.abs(a * U + W - truth).mean() / truth.mean() < 0.06
     assert off[0].nnz < 0.01 * len(o) * len(transport.d)                        # next to no light off itself
+
+
+def test_a_lamp_in_one_pixel_is_as_bright_as_it_is(scene, ball):
+    """One jittered direction per cell must not change what a light pixel gives: chalk under lamps of one pixel, the light as fine as the grid."""
+    _, observations, _ = scene
+    renderer = Renderer(ball / "mesh_uv.ply", 32, 32, 2)
+    rows = choose_rows(observations, renderer.scene, 40, 3, 0)
+    transport = Transport(renderer.scene, ball / "mesh_uv.ply", observations, rows, 32, 20, 0)
+    U, W = mix(transport.at(1.0, 1)[0], 0.0)
+    o, d = observations.centre_rays(rows.observation)
+    error = []
+    for lamp in np.random.default_rng(3).integers(6 * 64, 16 * 64, 8):
+        light = np.full((32, 64, 3), 1e-3, np.float32)
+        light.reshape(-1, 3)[lamp] = 100
+        renderer.set(uniform(light, 1.0, 0.0, 0.5))
+        truth = renderer.mean_radiance(lambda rng: (o, d), 128, 0)
+        error.append((0.5 * U + W)[:, lamp].mean() * 100 / truth[:, 0].mean() - 1)
+    assert np.abs(error).mean() < 0.03
+
+
+@pytest.mark.parametrize("level,m,a", [(2, 0.0, 0.9), (4, 0.5, 0.9), (6, 0.0, 0.3), (6, 0.5, 0.9), (6, 1.0, 0.9)])
+def test_light_off_the_object_equals_the_path_tracers(bowl, level, m, a):
+    """A bowl lights itself: up to a third of what is seen. A rough metal gives off much less than its base colour says."""
+    renderer, observations = bowl
+    light = np.random.default_rng(1).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
+    rows = choose_rows(observations, renderer.scene, 80, 3, 0)
+    transport = Transport(renderer.scene, renderer.mesh, observations, rows, 8, 40, 0)
+    n = len(rows.point)
+    photos = Photos(transport, Lobes(transport, 0.1, 0), np.ones((n, 3)), np.zeros(n, bool), np.zeros(80, int), renderer.max_depth - 1)
+    photos.set(Theta(np.full((1, 3), a), np.array([0.01]), np.array([level]), np.array([m])))
+    U, W = photos.predict(light.reshape(-1, 3))
+    renderer.set(uniform(light, photos.lobes.levels[level], m, a))
+    o, d = observations.centre_rays(rows.observation)
+    truth = renderer.mean_radiance(lambda rng: (o, d), 256, 0)
+    assert abs((a * U + W).mean() / truth.mean() - 1) < 0.03
 
 
 def test_light_between_parts_adds_up():

@@ -62,7 +62,7 @@ class Coded:
 
     def unscaled(self, numbers: torch.Tensor) -> np.ndarray:
         """Inverse of `scaled`."""
-        u = np.exp(numbers.T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + COLOUR)
+        u = np.exp(np.minimum(numbers.T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + COLOUR, 10.0))       # e^-e^10 is 0
         return np.clip(-ALBEDO_MAX * np.expm1(-u), 1e-6, ALBEDO_MAX * (1 - 1e-6))
 
     def put(self, z: torch.Tensor) -> Theta:

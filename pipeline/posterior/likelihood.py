@@ -26,7 +26,7 @@ import torch
 from scipy import sparse, special, stats
 from scipy.spatial import cKDTree
 
-from ..transport import Rows, Transport
+from ..transport import Rows, Transport, lobe_albedo
 from .problem import ALBEDO_MAX, SHADE
 
 NU = 4.0                                                    # degrees of freedom of the residuals
@@ -69,7 +69,7 @@ class Lobes:
 
     def __init__(self, transport: Transport, roughness_min: float, seed: int):
         self.levels = tuple(r for r in LEVELS if r >= roughness_min)
-        self.direct, self.off = [], []
+        self.direct, self.off, self.albedo = [], [], np.stack([lobe_albedo(r) for r in self.levels])      # (levels, 4)
         for k, r in enumerate(self.levels):
             F, G = transport.at(r, seed * 101 + k)
             self.direct.append(torch.from_numpy(F))
@@ -177,9 +177,10 @@ class Photos:
         self.theta = theta
 
     def albedo(self, theta: Theta) -> np.ndarray:
-        """Diffuse stand-in albedo (p, 3) of the points for light between parts of the object."""
-        m, mu = self.point_materials(theta)[1][:, None], theta.mu[self.region]
-        return np.clip((1 - m) * (mu + 0.05) + m * mu, 0, ALBEDO_MAX)
+        """Albedo (p, 3) of the points for light between parts of the object, all lobes together."""
+        level, m = self.point_materials(theta)
+        U, W = mix(self.lobes.albedo[level].T[..., None], m[:, None])
+        return np.clip(theta.mu[self.region] * U + W, 0, ALBEDO_MAX)
 
     def nodes(self, light: np.ndarray, theta: Theta) -> np.ndarray:
         return self.transport.exitant(light, self.albedo(theta), self.bounces - 1) if self.bounces > 1 else \
