@@ -7,7 +7,7 @@ from scipy import stats
 from pipeline.cameras import Rig, View, save_cameras
 from pipeline.observe import Observations, Tracer
 from pipeline.optics import Explanation, Renderer
-from pipeline.posterior.likelihood import Lobes, Photos, Theta, channel_effect, design_effect, mix
+from pipeline.posterior.likelihood import Lobes, Photos, Theta, channel_effect, contrast, design_effect, mix
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.transport import LOBES, Rows, Transport, bilinear, choose_rows, lobe
 from pipeline.runtime import mitsuba as mi
@@ -41,6 +41,12 @@ def uniform(light, roughness, metallic, base_color) -> Explanation:
     """One material all over, textures of side 32."""
     constant = lambda v, *shape: np.full((32, 32) + shape, v, np.float32)
     return Explanation(light, constant(base_color, 3), constant(roughness), constant(metallic))
+
+
+def traced(renderer, observations, rows, spp) -> np.ndarray:
+    """Radiance (n, 3) of the rows' rays by the path tracer."""
+    o, d = observations.centre_rays(np.tile(rows.observation, spp))
+    return renderer.radiance(o, d, 0).reshape(spp, -1, 3).mean(0)
 
 
 @pytest.fixture(scope="module")
@@ -114,11 +120,10 @@ def test_operator_equals_path_tracer(scene, transport, r, m, a):
     F, off = transport.at(r, 1)
     U, W = mix(F @ light.reshape(-1, 3), m)
     renderer.set(uniform(light, r, m, a))
-    o, d = observations.centre_rays(transport.rows.observation)
-    truth = renderer.mean_radiance(lambda rng: (o, d), 512, 0)
+    truth = traced(renderer, observations, transport.rows, 512)
     assert abs((a * U + W).mean() / truth.mean() - 1) < 0.02
     assert np.abs(a * U + W - truth).mean() / truth.mean() < 0.06
-    assert off[0].nnz < 0.01 * len(o) * len(transport.d)                        # next to no light off itself
+    assert off[0].nnz < 0.01 * len(truth) * len(transport.d)                        # next to no light off itself
 
 
 def test_a_lamp_in_one_pixel_is_as_bright_as_it_is(scene, ball):
@@ -128,14 +133,13 @@ def test_a_lamp_in_one_pixel_is_as_bright_as_it_is(scene, ball):
     rows = choose_rows(observations, renderer.scene, 40, 3, 0)
     transport = Transport(renderer.scene, ball / "mesh_uv.ply", observations, rows, 32, 20, 0)
     U, W = mix(transport.at(1.0, 1)[0], 0.0)
-    o, d = observations.centre_rays(rows.observation)
     error = []
     for lamp in np.random.default_rng(3).integers(6 * 64, 16 * 64, 8):
         light = np.full((32, 64, 3), 1e-3, np.float32)
         light.reshape(-1, 3)[lamp] = 100
         renderer.set(uniform(light, 1.0, 0.0, 0.5))
-        truth = renderer.mean_radiance(lambda rng: (o, d), 128, 0)
-        error.append((0.5 * U + W)[:, lamp].mean() * 100 / truth[:, 0].mean() - 1)
+        truth = traced(renderer, observations, rows, 1024)[:, 0]
+        error.append((0.5 * U + W)[:, lamp].mean() * 100 / truth.mean() - 1)
     assert np.abs(error).mean() < 0.03
 
 
@@ -151,8 +155,7 @@ def test_light_off_the_object_equals_the_path_tracers(bowl, level, m, a):
     photos.set(Theta(np.full((1, 3), a), np.array([0.01]), np.array([level]), np.array([m])))
     U, W = photos.predict(light.reshape(-1, 3))
     renderer.set(uniform(light, photos.lobes.levels[level], m, a))
-    o, d = observations.centre_rays(rows.observation)
-    truth = renderer.mean_radiance(lambda rng: (o, d), 256, 0)
+    truth = traced(renderer, observations, rows, 512)
     assert abs((a * U + W).mean() / truth.mean() - 1) < 0.03
 
 
@@ -173,22 +176,22 @@ def photos(transport):
     n = len(transport.rows.point)
     out = Photos(transport, lobes, rng.uniform(0.1, 1.0, (n, 3)), np.zeros(n, bool), rng.integers(0, 2, 40), 1)
     out.eta, out.kappa, out.weight, out.share = 0.2, 1.7, rng.uniform(0.5, 2, n), rng.uniform(0.3, 2, 40)
+    out.ceiling = ALBEDO_MAX / rng.uniform(1, 1.6, (40, 3))
     out.set(Theta(rng.uniform(0.2, 0.7, (2, 3)), np.array([0.1, 0.5]), np.array([1, 4]), np.array([0.0, 0.8])))
     return out
 
 
 def dense_value(photos, light) -> float:
-    """log of the integral of N(a; mu, v) on [0, ALBEDO_MAX] times N(y; a U + W, D kappa / share) over a, without the noise's constants."""
-    U, W = photos.predict(light)
-    a, total = np.linspace(0, ALBEDO_MAX, 8001), 0.0
+    """log of the integral of N(a; mu, v) on [0, ceiling] times N(y; a U + W, D kappa / share) over a, without the noise's constants."""
+    (U, W), total = photos.predict(light), 0.0
     for p in range(len(photos.region)):
         k, r = photos.rows.point == p, photos.region[p]
         for c in range(3):
-            mu = photos.theta.mu[r, c]
+            mu, a = photos.theta.mu[r, c], np.linspace(0, photos.ceiling[p, c], 8001)
             prior = stats.norm(mu, photos.theta.tau[r] * mu)
             D = photos.kappa / photos.share[p] * (photos.eta * (photos.observed[k, c] + SHADE)) ** 2 / photos.weight[k]
             e = photos.observed[k, c] - a[:, None] * U[k, c] - W[k, c]
-            log = -0.5 * (e**2 / D).sum(1) + prior.logpdf(a) - np.log(prior.cdf(ALBEDO_MAX) - prior.cdf(0))
+            log = -0.5 * (e**2 / D).sum(1) + prior.logpdf(a) - np.log(prior.cdf(a[-1]) - prior.cdf(0))
             total += log.max() + np.log(np.trapezoid(np.exp(log - log.max()), a))
     return total
 
@@ -196,6 +199,14 @@ def dense_value(photos, light) -> float:
 def test_colour_is_integrated_out_exactly(photos, scene):
     light = scene[2].reshape(-1, 3).astype(float)
     assert abs(photos.value(light) - dense_value(photos, light)) < 1e-6 * abs(photos.value(light)) + 1e-6
+
+
+def test_contrast_is_that_of_the_brightest_tenth(transport, scene):
+    """Pixels of a patch that are all alike, and a tenth of them three times as bright."""
+    rows, rgb = transport.rows, np.full((len(scene[1]), 3), 0.2)
+    np.testing.assert_allclose(contrast(rows, rgb), 1)
+    rgb[np.random.default_rng(0).random(len(rgb)) < 0.2] = 0.6                  # mean .28
+    assert 1.7 < np.median(contrast(rows, rgb)) < 2.6
 
 
 def test_whitened_rows_have_the_likelihoods_curvature(photos, scene):

@@ -49,7 +49,7 @@ def subset(photos: Photos, transport: Transport, lobes: Lobes, points: np.ndarra
     rows = Rows(photos.rows.observation[keep], np.searchsorted(points, photos.rows.point[keep]))
     out = Photos(transport, lobes, photos.observed[keep], photos.clipped[keep], np.zeros(len(points), int), 1, rows)
     out.eta, out.kappa = ERROR, THINNING
-    out.share = photos.share[points]
+    out.share, out.ceiling = photos.share[points], photos.ceiling[points]
     return out
 
 

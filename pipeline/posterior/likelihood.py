@@ -3,11 +3,12 @@
 Rows i of surface point p in region r, per channel (see transport.py for the lobes):
 
     y_i = a_p U_i + W_i + e_i,   U = (1 - m) A + m (M1 - M0),   W = (1 - m) S + m M0   (each applied to the light)
-    a_p ~ N(mu_r, tau_r^2 mu_r^2) on [0, ALBEDO_MAX]    base colour varies about its region's mean
+    a_p ~ N(mu_r, tau_r^2 mu_r^2) on [0, c_p]           base colour varies about its region's mean, below the point's ceiling
     e_i ~ N(0, eta^2 (y_i + SHADE)^2 / lambda_i)        lambda_i ~ Gamma(NU / 2, NU / 2): Student's t, outliers count less
 
 so y_p ~ N(mu U + W, D + v U U') with v = tau^2 mu^2, in closed form by the rank-one identities, times the share of a_p given y_p that is
-possible over the share of a_p that is: a light too dim for the brightest points is no explanation. A region of one colour
+possible over the share of a_p that is: a light too dim for the brightest points is no explanation. Rows are means over patches, whose
+brightest pixels reach ALBEDO_MAX when the mean is at c_p (`contrast`). A region of one colour
 tells of the light by its shading, a busy texture does not, and the data decide which it is. (The linearisations leave the bounds out.)
 
 Neighbouring rows err together (a wrong normal, a wrong camera): the log-likelihood is divided by the design effect
@@ -31,6 +32,7 @@ from .problem import ALBEDO_MAX, SHADE
 
 NU = 4.0                                                    # degrees of freedom of the residuals
 LEVELS = (0.08, 0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0)      # roughness
+BRIGHT = 0.9                                                # quantile of a point's pixels whose base colour must be possible
 METALLIC = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 1.0])
 
 
@@ -108,7 +110,8 @@ class Whitener:
 class Photos:
     """Rows of the photos with their noise, and what the current materials make of them.
 
-    observed (n, 3), clipped (n,): whether that is a lower bound; region (p,) of every point. `light` arguments are (M, 3) radiance.
+    observed (n, 3), clipped (n,): whether that is a lower bound; region (p,) of every point; ceiling (p, 3) of their base colours. `light`
+    arguments are (M, 3) radiance.
     """
 
     def __init__(self, transport: Transport, lobes: Lobes, rgb: np.ndarray, clipped: np.ndarray, region: np.ndarray, bounces: int,
@@ -118,6 +121,7 @@ class Photos:
         self.region, self.starts = region, self.rows.starts
         self.row_region = region[self.rows.point]
         self.eta, self.kappa, self.weight, self.share = 0.3, 1.0, np.ones(len(rgb)), np.ones(len(region))
+        self.ceiling = np.full((len(region), 3), ALBEDO_MAX)
         self.offset = np.zeros((2, len(region)), int)       # of every point's roughness level and step of metallic from its region's
         self.theta: Theta | None = None
         self.assembled = None                               # (level, m) per point of the matrices U, W
@@ -217,7 +221,7 @@ class Photos:
         v = spread[self.region]
         q, g, s = self.sums(U, W, theta, self.counted(U, W, theta))
         all_q = self.thinned(self.precision * U * U, self.share) if self.clipped.any() else q
-        possible = log_possible(*self.colours(q, g, theta)) - log_possible(theta.mu, spread)[self.region]
+        possible = log_possible(*self.colours(q, g, theta), self.ceiling) - log_possible(theta.mu[self.region], v, self.ceiling)
         return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * all_q) + possible).sum(1)
 
     def value(self, light: np.ndarray) -> float:
@@ -265,12 +269,12 @@ class Photos:
         return T, r, V
 
     def draw_colour(self, U, W, theta: Theta, rng) -> np.ndarray:
-        """Base colour of every point (p, 3) given everything else, within [0, ALBEDO_MAX]."""
+        """Base colour of every point (p, 3) given everything else, within [0, ceiling]."""
         mean, variance = self.colours(*self.sums(U, W, theta, self.counted(U, W, theta), 1.0)[:2], theta)
         deviation = np.sqrt(variance)
-        low, high = (stats.norm.cdf((edge - mean) / deviation) for edge in (0.0, ALBEDO_MAX))
+        low, high = (stats.norm.cdf((edge - mean) / deviation) for edge in (0.0, self.ceiling))
         inside = stats.norm.ppf(np.clip(low + rng.random(low.shape) * (high - low), 1e-9, 1 - 1e-9))
-        return np.clip(mean + deviation * inside, 0.0, ALBEDO_MAX)
+        return np.clip(mean + deviation * inside, 0.0, self.ceiling)
 
     def misfit(self, U, W, colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Squared relative residuals (n, 3) given the points' colours (p, 3), and where saturated rows are explained, so that it is 0."""
@@ -294,13 +298,22 @@ class Photos:
         self.eta = float(np.sqrt((0.5 * scale + 1e-4) / rng.gamma(0.5 * freedom + 1.0)))
 
 
-def log_possible(mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Log-probability that normal base colours lie in [0, ALBEDO_MAX], accurate far outside too."""
+def log_possible(mean: np.ndarray, variance: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
+    """Log-probability that normal base colours lie in [0, ceiling], accurate far outside too."""
     deviation = np.sqrt(np.maximum(variance, 1e-10))
-    low, high = -mean / deviation, (ALBEDO_MAX - mean) / deviation
+    low, high = -mean / deviation, (ceiling - mean) / deviation
     low, high = np.where(low > 0, -high, low), np.where(low > 0, -low, high)            # log_ndtr is accurate below 0
     upper = special.log_ndtr(high)
     return upper + np.log1p(-np.exp(special.log_ndtr(low) - upper))
+
+
+def contrast(rows: Rows, rgb: np.ndarray) -> np.ndarray:
+    """How much brighter than the mean of their patch the BRIGHT quantile of every point's pixels is, (p, 3), at least 1; rgb (observations, 3)."""
+    P, points = rows.patch, len(rows.starts)
+    row = np.repeat(np.arange(P.shape[0]), np.diff(P.indptr))
+    ratio = rgb[P.indices] / np.maximum((P @ rgb)[row], 1e-6)
+    pixels = np.split(ratio, np.searchsorted(rows.point[row], np.arange(1, points)))        # rows are sorted by point
+    return np.maximum([np.quantile(r, BRIGHT, axis=0) for r in pixels], 1.0)
 
 
 def channel_effect(residual: np.ndarray) -> float:

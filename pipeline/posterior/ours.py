@@ -21,8 +21,8 @@ from ..prior.code import scale_of
 from ..transport import Transport, choose_rows
 from .coded import Coded, PixelCode
 from .evidence import THINNING, Search
-from .likelihood import LEVELS, METALLIC, Lobes, Photos, Theta, channel_effect, design_effect, metallic_step
-from .problem import Problem, generators
+from .likelihood import LEVELS, METALLIC, Lobes, Photos, Theta, channel_effect, contrast, design_effect, metallic_step
+from .problem import ALBEDO_MAX, Problem, generators
 from .refine import fill, gather, splat
 from .region_moves import categorical, draw_gauge, draw_offsets, draw_regions, propose, propose_colour, propose_spread
 from .regions import group, texel_regions
@@ -80,7 +80,7 @@ class Chain(Turns):
         transport = Transport(scene, problem.renderer.mesh, self.obs, rows, settings.light, round(NODES * len(starts)), own)
         lobes = Lobes(transport, max(problem.roughness_min, sharpest(problem.normal_error)), own)
         photos = Photos(transport, lobes, rgb, clipped, region, problem.renderer.max_depth - 1)
-        photos.share = block_shares(transport.position[starts], rng)
+        photos.share, photos.ceiling = block_shares(transport.position[starts], rng), ALBEDO_MAX / contrast(rows, self.obs.rgb)
         theta = start_materials(fit, self.obs.uv[rows.observation], region, starts, lobes.levels)
         self.width, self.spread_width = (np.full(len(theta.m), 0.05) for _ in range(2))
         self.centre = float(np.log(scale_of(fit.light)))
