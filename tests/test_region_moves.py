@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 from scipy import stats
 
-from pipeline.posterior.likelihood import NU, Photos, Theta
+from pipeline.posterior.likelihood import BETWEEN, NU, Photos, Theta
 from pipeline.posterior.ours import BLOCKS, SHARES, block_shares, sharpest
 from pipeline.posterior.regions import group, texel_regions
 from pipeline.posterior.region_moves import CHROMA, COMMON, DIELECTRIC, METAL, METALLIC, METALLIC_PRIOR, TAIL, draw_offsets, draw_regions
@@ -92,7 +92,7 @@ class Two:
     def __init__(self, targets, sharpness):
         self.region, self.offset = np.repeat([0, 1], 60), np.zeros((2, 120), int)
         self.targets, self.sharpness = targets, sharpness
-        self.rows, self.lobes = SimpleNamespace(point=np.arange(120)), SimpleNamespace(levels=range(8))
+        self.rows, self.lobes = SimpleNamespace(point=np.arange(120)), SimpleNamespace(levels=range(8 * BETWEEN))
 
     point_materials = Photos.point_materials
 
@@ -101,8 +101,8 @@ class Two:
 
 
 def drawn_offsets(targets, sharpness) -> np.ndarray:
-    photos, theta = Two(targets, sharpness), Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([4, 4]), np.zeros(2))
-    draw_offsets(photos, np.zeros((8, 4, 120, 3)), theta, np.random.default_rng(0))
+    photos, theta = Two(targets, sharpness), Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([4, 4]) * BETWEEN, np.zeros(2))
+    draw_offsets(photos, np.zeros((8 * BETWEEN, 4, 120, 3)), theta, np.random.default_rng(0))
     return photos.offset
 
 
@@ -120,18 +120,18 @@ def test_noise_density_is_students_t():
 
 def test_points_leave_their_region_where_the_photos_say_so():
     """One region of one level, one with every other point two levels up: found point by point; the silent metallic stays as drawn from the prior."""
-    targets = np.full(120, 4.0)
-    targets[60::2] += 2
+    targets = np.full(120, 4.0 * BETWEEN)
+    targets[60::2] += 2 * BETWEEN
     offset = drawn_offsets(targets, 10.0)
     assert (offset[0, :60] == 0).all()
-    assert np.abs(offset[0, 60:] - (targets[60:] - 4)).mean() < 0.1
+    assert np.abs(offset[0, 60:] - (targets[60:] - 4 * BETWEEN)).mean() < 0.1
 
 
 def test_points_stay_with_their_region_where_the_photos_say_nothing():
     """Then the width of a region's points comes from its prior: of 200 regions, half have none."""
     rng, alone = np.random.default_rng(1), []
     for _ in range(100):
-        photos, theta = Two(np.zeros(120), 0.0), Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([4, 4]), np.zeros(2))
-        draw_offsets(photos, np.zeros((8, 4, 120, 3)), theta, rng)
+        photos, theta = Two(np.zeros(120), 0.0), Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([4, 4]) * BETWEEN, np.zeros(2))
+        draw_offsets(photos, np.zeros((8 * BETWEEN, 4, 120, 3)), theta, rng)
         alone += [(photos.offset[0][photos.region == r] == 0).all() for r in (0, 1)]
     assert abs(np.mean(alone) - 0.5) < 3 * (0.25 / 200) ** 0.5

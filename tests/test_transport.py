@@ -7,7 +7,7 @@ from scipy import stats
 from pipeline.cameras import Rig, View, save_cameras
 from pipeline.observe import Observations, Tracer
 from pipeline.optics import Explanation, Renderer
-from pipeline.posterior.likelihood import Lobes, Photos, Theta, channel_effect, contrast, design_effect, mix
+from pipeline.posterior.likelihood import BETWEEN, LEVELS, Lobes, Photos, Theta, channel_effect, contrast, design_effect, mix
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.transport import LOBES, Rows, Transport, bilinear, choose_rows, lobe
 from pipeline.runtime import mitsuba as mi
@@ -143,7 +143,7 @@ def test_a_lamp_in_one_pixel_is_as_bright_as_it_is(scene, ball):
     assert np.abs(error).mean() < 0.03
 
 
-@pytest.mark.parametrize("level,m,a", [(2, 0.0, 0.9), (4, 0.5, 0.9), (6, 0.0, 0.3), (6, 0.5, 0.9), (6, 1.0, 0.9)])
+@pytest.mark.parametrize("level,m,a", [(8, 0.0, 0.9), (14, 0.5, 0.9), (24, 0.0, 0.3), (24, 0.5, 0.9), (24, 1.0, 0.9)])
 def test_light_off_the_object_equals_the_path_tracers(bowl, level, m, a):
     """A bowl lights itself: up to a third of what is seen. A rough metal gives off much less than its base colour says."""
     renderer, observations = bowl
@@ -157,6 +157,21 @@ def test_light_off_the_object_equals_the_path_tracers(bowl, level, m, a):
     renderer.set(uniform(light, photos.lobes.levels[level], m, a))
     truth = traced(renderer, observations, rows, 512)
     assert abs((a * U + W).mean() / truth.mean() - 1) < 0.03
+
+
+def test_lobes_between_the_traced_ones(scene, transport):
+    """Highlights of interpolated lobes against traced ones: nearer than either neighbour."""
+    light, lobes = scene[2].reshape(-1, 3), Lobes(transport, 0.2, 0)
+    seen = lambda F: np.asarray(F)[1:3] @ light
+    for level in (6, 10, 18):
+        traced = seen(transport.at(lobes.levels[level], 5)[0])
+        error = lambda F: np.sqrt(((seen(F) / traced - 1) ** 2).mean())
+        beside = [error(lobes.direct[level // BETWEEN + k]) for k in (0, 1)]
+        assert error(lobes.at(level)) < 0.1 and error(lobes.at(level)) < 0.7 * min(beside)
+    assert np.allclose(lobes.levels[::BETWEEN], LEVELS[2:]) and len(lobes.levels) == 5 * BETWEEN + 1
+    nodes = np.random.default_rng(0).random((len(transport.node_position), 3))
+    np.testing.assert_allclose(lobes.apply(light, nodes)[6], lobes.at(6).numpy() @ light + [
+        0.5 * (a @ nodes + b @ nodes) for a, b in zip(lobes.off[1], lobes.off[2])], rtol=1e-4)
 
 
 def test_light_between_parts_adds_up():
@@ -177,7 +192,7 @@ def photos(transport):
     out = Photos(transport, lobes, rng.uniform(0.1, 1.0, (n, 3)), np.zeros(n, bool), rng.integers(0, 2, 40), 1)
     out.eta, out.kappa, out.weight, out.share = 0.2, 1.7, rng.uniform(0.5, 2, n), rng.uniform(0.3, 2, 40)
     out.ceiling = ALBEDO_MAX / rng.uniform(1, 1.6, (40, 3))
-    out.set(Theta(rng.uniform(0.2, 0.7, (2, 3)), np.array([0.1, 0.5]), np.array([1, 4]), np.array([0.0, 0.8])))
+    out.set(Theta(rng.uniform(0.2, 0.7, (2, 3)), np.array([0.1, 0.5]), np.array([6, 16]), np.array([0.0, 0.8])))
     return out
 
 

@@ -20,7 +20,7 @@ import torch
 from ..prior.gaussian import GaussianPrior
 from ..transport import Rows, Transport
 from .coded import ModeCode, Modes
-from .likelihood import METALLIC, Lobes, Photos, Theta, mix
+from .likelihood import BETWEEN, METALLIC, Lobes, Photos, Theta, mix
 from .pooling import pooled
 from .region_moves import categorical, log_prior
 from .split_gibbs import cholesky
@@ -30,7 +30,7 @@ ERROR, THINNING = 0.1, 3.0      # relative error, and rows per independent one, 
 LIGHT_FIRST = 3         # steps of the light before materials are drawn
 SEARCH_COMPONENTS = 200 # leading modes of the Gaussian prior
 FEW = 0.05              # weight of saturated rows where they hardly count
-UNIFORM = [(level, m) for level in (0, 2, 5) for m in (0.0, 1.0)]       # roughness level and metallic of whole objects
+UNIFORM = [(level * BETWEEN, m) for level in (0, 2, 5) for m in (0.0, 1.0)]     # roughness level and metallic of whole objects
 CANDIDATES = METALLIC[[0, 4, 8, 12]]
 
 
@@ -73,7 +73,7 @@ class Linear:
     def lobes(self, r: int, level: int) -> tuple[np.ndarray, torch.Tensor]:
         """Region r's four lobes at a roughness level: under the light (4, n, 3), and under its modes (3, 4, n, K)."""
         if (r, level) not in self.known:
-            F = self.parts[r].lobes.direct[level]
+            F = self.parts[r].lobes.at(level)
             self.known[r, level] = (F @ self.light).numpy(), torch.stack([F @ change.T for change in self.moved])
         return self.known[r, level]
 
@@ -120,7 +120,7 @@ class Search:
         """One roughness and metallic for all regions of `group`, or what they have, by evidence: Theta of all regions, and the light's
         step that goes with it (K,).
         """
-        choices = [(level, m) for level in range(len(self.parts[0].lobes.levels)) for m in CANDIDATES]
+        choices = [(level, m) for level in range(0, len(self.parts[0].lobes.levels), BETWEEN) for m in CANDIDATES]
         changed = lambda choice: [self.piece(r, p.theta.made_of(*choice), at) if r in group else p for r, p in enumerate(pieces)]
         found = []
         for candidate in [pieces] + [changed(choice) for choice in choices]:

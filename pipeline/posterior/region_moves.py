@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import logsumexp
 
-from .likelihood import METALLIC, Photos, Theta, metallic_step, mix
+from .likelihood import BETWEEN, METALLIC, Photos, Theta, metallic_step, mix
 from .problem import ALBEDO_MAX
 
 METALLIC_PRIOR = np.log(np.array([8, 4, 2, 1, 0.7, 0.5, 0.5, 0.5, 0.7, 1, 2, 4, 4]) / 28.9)     # things are metal or not
@@ -19,8 +19,9 @@ CHROMA = 0.35                               # width of log base colour between c
 COMMON = 0.5                                # share of both variances that all regions of an object have in common
 TAIL = 3.0                                  # degrees of freedom of Student's t: black paint and dyes are far out
 TAU_PRIOR = (np.log(0.3), 0.7)
-OFFSETS = np.arange(-3, 4), np.array([-9, -6, -4, -2, 0, 2, 4, 6, 9])       # of a point from its region: roughness levels, steps of METALLIC
-WIDTHS = np.array([0.0, 0.7, 1.5, 3.0])     # of the discrete normal that offsets come from
+OFFSETS = BETWEEN * np.arange(-3, 4), np.array([-9, -6, -4, -2, 0, 2, 4, 6, 9])     # of a point from its region: roughness levels, steps of METALLIC
+WIDTHS = np.array([0.0, 0.7, 1.5, 3.0])     # of the discrete normal that offsets come from, in units of UNITS
+UNITS = BETWEEN, 1
 WIDTH_PRIOR = np.log([0.5, 0.2, 0.2, 0.1])      # a region is of one material unless its points say otherwise
 SCALE_PRIOR = 1.5                           # deviation of the log light scale about the level that fits a grey object
 
@@ -72,7 +73,7 @@ def propose_colour(theta: Theta, levels: int, rng: np.random.Generator, width: n
 def propose(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarray) -> Theta:
     """Symmetric proposal for every region: mean colour always, roughness and metallic half of the time each."""
     new, regions = propose_colour(theta, levels, rng, width), len(theta.m)
-    step = np.where(rng.random(regions) < 0.2, rng.integers(-levels, levels + 1, regions), rng.integers(-1, 2, regions))
+    step = np.where(rng.random(regions) < 0.2, rng.integers(-levels, levels + 1, regions), rng.integers(-BETWEEN, BETWEEN + 1, regions))
     new.level = np.where(rng.random(regions) < 0.5, theta.level + step, theta.level)
     jump = np.where(rng.random(regions) < 0.2, rng.integers(-12, 13, regions), rng.integers(-1, 2, regions))
     at = metallic_step(theta.m)
@@ -112,7 +113,7 @@ def draw_offsets(photos: Photos, lobes: np.ndarray, theta: Theta, rng) -> None:
         for step in steps:
             photos.offset[kind] = step
             table.append(photos.point_values(*rows_of(lobes, photos, theta), theta))
-        table, prior = np.stack(table, 1), log_offset(steps)[:, None]
+        table, prior = np.stack(table, 1), log_offset(steps / UNITS[kind])[:, None]
         for r in range(len(theta.m)):
             mine = np.flatnonzero(photos.region == r)
             values = table[mine][None] + prior                                           # (widths, points, steps)
