@@ -7,7 +7,7 @@ holds its stages up to `fit` (benchmarks.pairs makes both). One process, one thr
 sample stage; every draw is refined with refine.steps = 0 (base colour only), so that the methods' own roughness and
 metallic are judged. Per method: seconds per draw; light PSNR of the draws and of their mean (log radiance, one common
 scale removed; a draw's error is up to 3 dB above the mean's, where the spread is right); PSNR of held-out views inside the
-mask; base colour error (RMS over held-out views, raw and after one factor per channel); PSNR of held-out views under another
+mask, of the draws and of their mean picture; base colour error (RMS over held-out views, raw and after one factor per channel); PSNR of held-out views under another
 light; and, for 3 draws or more, how often the draws' intervals hold the truth (`unknowns`). A folder whose cameras are not given, or without
 truth/, has seconds and held-out views only. Set OMP_NUM_THREADS=1 as the workflow does.
 """
@@ -31,7 +31,7 @@ from pipeline.config import parse_scene
 from pipeline.envmap import resample_area, sh_coefficients
 from pipeline.files import write_json
 from pipeline.images import read_exr
-from pipeline.metrics import light_psnr, psnr, score_held_out, view_rays
+from pipeline.metrics import held_out_pictures, light_psnr, psnr, view_rays
 from pipeline.observe import Tracer
 from pipeline.optics import Explanation
 from pipeline.posterior import SAMPLERS
@@ -123,7 +123,7 @@ def coverage(draws: np.ndarray, truth: np.ndarray) -> dict:
 
 def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict:
     """One method on one scene."""
-    prior, rows, drawn_lights, quantities = load_prior(scene.sample.prior), [], [], []
+    prior, rows, drawn_lights, quantities, pictures = load_prior(scene.sample.prior), [], [], [], []
     load = lambda texture: load_problem(folders["observe"], folders["poses"], folders["atlas"], scene, texture, prior.height)
     settings = scene.refine.model_copy(update={"steps": 0})
     full, small = load(settings.texture), load(min(COARSE, settings.texture))
@@ -137,7 +137,8 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         row = {"seconds": time.perf_counter() - began}
         set_threads(2)
         final, _ = refine(full, small, drawn, settings, seed, rescale=not facts.get("scale_drawn", False))
-        row["held_out_psnr"] = score_held_out(full, final, folders["poses"], folders["mesh"], scene.observe.erode, 64)["held_out_psnr"]
+        pictures.append(list(held_out_pictures(full, final, folders["poses"], folders["mesh"], scene.observe.erode, 64)))
+        row["held_out_psnr"] = float(np.mean([psnr(picture, photo, mask) for _, picture, photo, mask in pictures[-1]]))
         if truth:
             scores, values = truth.scores(final, full.renderer)
             row |= scores
@@ -146,6 +147,7 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         rows.append(row)
     out = {"method": method, "samples": samples} | {k: round(float(np.mean([r[k] for r in rows])), 4) for k in rows[0]}
     out["peak_gib"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2)
+    out["held_out_psnr_of_mean"] = float(np.mean([psnr(np.mean([p for _, p, _, _ in of_view], axis=0), *of_view[0][2:]) for of_view in zip(*pictures)]))
     if truth:
         out["light_psnr_of_mean"] = light_psnr(np.exp(np.mean(drawn_lights, 0)), truth.light)
     if truth and samples > 2:

@@ -71,7 +71,7 @@ class Lobes:
     """The lobes' light matrices (4, n, M) at every one of LEVELS from roughness_min on, and the sparse ones for light off the object.
 
     `levels` has BETWEEN steps of log roughness from each to the next, where lobes are interpolated: halfway between, that is as near to the traced lobe
-    as two traced ones are to each other (2 to 6 %; either neighbour: 10 to 20 %). A gloss tells how bright the light is by how broad it is; with the
+    as two traced ones are to each other (2 to 6 %; the nearer neighbour: 7 to 22 %). A gloss tells how bright the light is by how broad it is; with the
     traced levels alone it would be sure of a wrong brightness.
     """
 
@@ -83,7 +83,7 @@ class Lobes:
             self.direct.append(torch.from_numpy(F))
             self.off.append(G)
         steps = np.arange(BETWEEN * (len(traced) - 1) + 1) / BETWEEN
-        self.levels = tuple(np.exp(np.interp(steps, np.arange(len(traced)), np.log(traced))).tolist())
+        self.levels = tuple(np.exp(np.interp(steps, np.arange(len(traced)), np.log(traced))).round(3).tolist())
         self.albedo = self.between(np.stack([lobe_albedo(r) for r in traced]))               # (levels, 4)
 
     @staticmethod
