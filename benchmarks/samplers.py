@@ -7,9 +7,10 @@ holds its stages up to `fit` (benchmarks.pairs makes both). One process, one thr
 sample stage; every draw is refined with refine.steps = 0 (base colour only), so that the methods' own roughness and
 metallic are judged. Per method: seconds per draw; light PSNR of the draws and of their mean (log radiance, one common
 scale removed; a draw's error is up to 3 dB above the mean's, where the spread is right); PSNR of held-out views inside the
-mask, of the draws and of their mean picture; base colour error (RMS over held-out views, raw and after one factor per channel); PSNR of held-out views under another
-light; and, for 3 draws or more, how often the draws' intervals hold the truth (`unknowns`). A folder whose cameras are not given, or without
-truth/, has seconds and held-out views only. Set OMP_NUM_THREADS=1 as the workflow does.
+mask, of the draws and of their mean picture; base colour error (RMS over held-out views, raw and after one factor per
+channel); PSNR of held-out views under another light; and, for 3 draws or more, how often the draws' intervals hold the truth
+(`unknowns`). A folder whose cameras are not given, or without truth/, has seconds and held-out views only.
+Set OMP_NUM_THREADS=1 as the workflow does.
 """
 
 from __future__ import annotations
