@@ -32,7 +32,7 @@ from pipeline.config import parse_scene
 from pipeline.envmap import resample_area, sh_coefficients
 from pipeline.files import write_json
 from pipeline.images import read_exr
-from pipeline.metrics import held_out_pictures, light_psnr, psnr, view_rays
+from pipeline.metrics import held_out_photos, light_psnr, psnr, render_pixels, view_rays
 from pipeline.observe import Tracer
 from pipeline.optics import Explanation
 from pipeline.posterior import SAMPLERS
@@ -128,6 +128,8 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
     load = lambda texture: load_problem(folders["observe"], folders["poses"], folders["atlas"], scene, texture, prior.height)
     settings = scene.refine.model_copy(update={"steps": 0})
     full, small = load(settings.texture), load(min(COARSE, settings.texture))
+    held = held_out_photos(full, folders["poses"], folders["mesh"], scene.observe.erode)
+    mean_psnr = lambda pictures: float(np.mean([psnr(picture, photo, mask) for picture, (_, photo, mask) in zip(pictures, held)]))
     known = (folder / "transforms.json").exists() and (folder / "truth").is_dir()          # truth has the frame of the given cameras
     truth = Truth(folder / "truth", full, folders["atlas"] / "mesh_uv.ply", prior.height) if known else None
     for seed in range(samples):
@@ -138,8 +140,8 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         row = {"seconds": time.perf_counter() - began}
         set_threads(2)
         final, _ = refine(full, small, drawn, settings, seed, rescale=not facts.get("scale_drawn", False))
-        pictures.append(list(held_out_pictures(full, final, folders["poses"], folders["mesh"], scene.observe.erode, 64)))
-        row["held_out_psnr"] = float(np.mean([psnr(picture, photo, mask) for _, picture, photo, mask in pictures[-1]]))
+        pictures.append([render_pixels(full.renderer, final, view, mask, 64) for view, _, mask in held])
+        row["held_out_psnr"] = mean_psnr(pictures[-1])
         if truth:
             scores, values = truth.scores(final, full.renderer)
             row |= scores
@@ -148,7 +150,7 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         rows.append(row)
     out = {"method": method, "samples": samples} | {k: round(float(np.mean([r[k] for r in rows])), 4) for k in rows[0]}
     out["peak_gib"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2)
-    out["held_out_psnr_of_mean"] = float(np.mean([psnr(np.mean([p for _, p, _, _ in of_view], axis=0), *of_view[0][2:]) for of_view in zip(*pictures)]))
+    out["held_out_psnr_of_mean"] = mean_psnr([np.mean(of_view, axis=0) for of_view in zip(*pictures)])
     if truth:
         out["light_psnr_of_mean"] = light_psnr(np.exp(np.mean(drawn_lights, 0)), truth.light)
     if truth and samples > 2:

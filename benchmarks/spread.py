@@ -39,7 +39,7 @@ from pipeline.posterior.turns import LAST, Turns
 from pipeline.prior import load_prior
 from pipeline.prior.sampling import draw
 from pipeline.progress import progress
-from pipeline.runtime import set_threads
+from pipeline.runtime import import_open3d, mitsuba as mi, set_threads
 from pipeline.transport import STEEP, Rows, Transport
 
 POINTS, ERROR, COLOUR, VIEWED = 300, 0.03, 0.8, 0.35
@@ -67,7 +67,6 @@ class Sphere:
 
 def ball(folder: Path) -> tuple[object, Path]:
     """Mitsuba scene and file of a finely meshed unit sphere."""
-    from pipeline.runtime import import_open3d, mitsuba as mi
     o3d = import_open3d()
     sphere, path = o3d.geometry.TriangleMesh.create_sphere(1.0, 80), folder / "ball.ply"
     vertices = np.asarray(sphere.vertices)

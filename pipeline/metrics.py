@@ -43,11 +43,11 @@ def render_pixels(renderer: Renderer, x: Explanation, view: View, mask: np.ndarr
     return out
 
 
-def held_out_pictures(problem, x: Explanation, poses: Path, mesh: Path, erode: float, spp: int, limit: int = 8):
-    """Of each held-out view (at most `limit`) its name, its picture by `x`, its photo (h, w, 3 each) and its mask (h, w) less a rim of
-    `erode` mixed pixels; views of which nothing is left are passed over.
+def held_out_photos(problem, poses: Path, mesh: Path, erode: float, limit: int = 8) -> list[tuple[View, np.ndarray, np.ndarray]]:
+    """Held-out views (at most `limit`) at the size they are scored, each with its photo (h, w, 3) and its mask (h, w) less a rim of `erode` mixed
+    pixels; views of which nothing is left are passed over.
     """
-    held = problem.observations.held_out
+    out, held = [], problem.observations.held_out
     for view in held[:: max(1, len(held) // limit)][:limit]:
         small = view.scaled(min(1.0, 640 / max(view.width, view.height)))
         size = (small.width, small.height)
@@ -55,12 +55,14 @@ def held_out_pictures(problem, x: Explanation, poses: Path, mesh: Path, erode: f
         inner = inner_mask(read_png(mesh / "masks" / f"{view.name}.png") > 127, erode)
         mask = cv2.resize(inner.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
         if mask.any():
-            yield view.name, render_pixels(problem.renderer, x, small, mask, spp), photo, mask
+            out.append((small, photo, mask))
+    return out
 
 
-def score_held_out(problem, x: Explanation, poses: Path, mesh: Path, erode: float, spp: int, limit: int = 8) -> dict:
-    """PSNR of each of `held_out_pictures`, and their mean."""
-    scores = {name: psnr(picture, photo, mask) for name, picture, photo, mask in held_out_pictures(problem, x, poses, mesh, erode, spp, limit)}
+def score_held_out(problem, x: Explanation, poses: Path, mesh: Path, erode: float, spp: int) -> dict:
+    """PSNR of `x` on each of `held_out_photos`, and their mean."""
+    scores = {view.name: psnr(render_pixels(problem.renderer, x, view, mask, spp), photo, mask)
+              for view, photo, mask in held_out_photos(problem, poses, mesh, erode)}
     return {"held_out_psnr": float(np.mean(list(scores.values()))) if scores else None, "held_out": scores}
 
 

@@ -118,7 +118,7 @@ def grid_directions(h: int, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
 
 def light_weights(d: np.ndarray, solid: np.ndarray, h: int) -> sparse.csr_matrix:
     """Bilinear weights (k, M) of light pixels for directions d (k, 3) that stand for solid angles `solid` (k,), each pixel's scaled so that together
-    it has the solid angle that its bilinear hat has. Jitter alone would make a lamp in one pixel a sixth brighter or darker than it is.
+    it has the solid angle that its bilinear hat has. Jitter alone would make a lamp in one pixel a fifth brighter or darker than it is.
     """
     index, weight = bilinear(d, h)
     W = sparse.csr_matrix((weight.ravel(), (np.repeat(np.arange(len(d)), 4), index.ravel())), (len(d), 2 * h * h))

@@ -162,10 +162,10 @@ def test_light_off_the_object_equals_the_path_tracers(bowl, level, m, a):
 def test_lobes_between_the_traced_ones(scene, transport):
     """Highlights of interpolated lobes against traced ones: nearer than either neighbour."""
     light, lobes = scene[2].reshape(-1, 3), Lobes(transport, 0.2, 0)
-    seen = lambda F: np.asarray(F)[1:3] @ light
+    highlights = lambda F: np.asarray(F)[1:3] @ light
     for level in (6, 10, 18):
-        traced = seen(transport.at(lobes.levels[level], 5)[0])
-        error = lambda F: np.sqrt(((seen(F) / traced - 1) ** 2).mean())
+        truth = highlights(transport.at(lobes.levels[level], 5)[0])
+        error = lambda F: np.sqrt(((highlights(F) / truth - 1) ** 2).mean())
         beside = [error(lobes.direct[level // BETWEEN + k]) for k in (0, 1)]
         assert error(lobes.at(level)) < 0.1 and error(lobes.at(level)) < 0.7 * min(beside)
     assert np.allclose(lobes.levels[::BETWEEN], LEVELS[2:]) and len(lobes.levels) == 5 * BETWEEN + 1
@@ -217,7 +217,7 @@ def test_colour_is_integrated_out_exactly(photos, scene):
 
 
 def test_contrast_is_that_of_the_brightest_tenth(transport, scene):
-    """Pixels of a patch that are all alike, and a tenth of them three times as bright."""
+    """Pixels of a patch that are all alike, and a fifth of them three times as bright."""
     rows, rgb = transport.rows, np.full((len(scene[1]), 3), 0.2)
     np.testing.assert_allclose(contrast(rows, rgb), 1)
     rgb[np.random.default_rng(0).random(len(rgb)) < 0.2] = 0.6                  # mean .28

@@ -181,8 +181,12 @@ class Photos:
     def colours(self, q: np.ndarray, g: np.ndarray, theta: Theta) -> tuple[np.ndarray, np.ndarray]:
         """Mean and variance (p, 3) of the points' base colours, from `sums`; the mean may lie outside what is possible."""
         mu = theta.mu[self.region]
-        v = np.maximum((theta.tau[self.region, None] * mu) ** 2, 1e-10)
+        v = np.maximum(self.variance(theta), 1e-10)
         return mu + v * g / (1 + v * q), v / (1 + v * q)
+
+    def variance(self, theta: Theta) -> np.ndarray:
+        """Of the points' base colours about their region's mean, (p, 3)."""
+        return ((theta.tau[:, None] * theta.mu) ** 2)[self.region]
 
     def point_materials(self, theta: Theta) -> tuple[np.ndarray, np.ndarray]:
         """Roughness level and metallic of every point, (p,) each."""
@@ -202,7 +206,7 @@ class Photos:
                 index = torch.from_numpy(np.flatnonzero(level == k))
                 self.U[index], self.W[index] = mix(self.lobes.at(k, index), torch.from_numpy(m[level == k].astype(np.float32))[:, None])
             low, high, way = neighbours(level, len(self.lobes.off))
-            for k in np.union1d(low, high):
+            for k in np.union1d(low, high[way > 0]):
                 share = np.where(low == k, 1 - way, 0) + np.where(high == k, way, 0)
                 black, white = (sparse.diags(share * part) for part in (1 - m, m))
                 a, s, m1, m0 = self.lobes.off[k]
@@ -247,8 +251,7 @@ class Photos:
         """Log-likelihood of every point (p,), constants of the noise left out. Saturated rows always count in the determinant, so that
         none gains by falling silent.
         """
-        spread = (theta.tau[:, None] * theta.mu) ** 2
-        v = spread[self.region]
+        v = self.variance(theta)
         q, g, s = self.sums(U, W, theta, self.counted(U, W, theta))
         all_q = self.thinned(self.precision * U * U, self.share) if self.clipped.any() else q
         possible = log_possible(*self.colours(q, g, theta), self.ceiling) - log_possible(theta.mu[self.region], v, self.ceiling)
@@ -259,7 +262,7 @@ class Photos:
 
     def whiteners(self, U: np.ndarray, W: np.ndarray) -> list["Whitener"]:
         """What makes each channel's rows independent with deviation 1, where U and W (n, 3) are `predict`'s."""
-        v = (self.theta.tau[self.region, None] * self.theta.mu[self.region]) ** 2
+        v = self.variance(self.theta)
         scale = np.sqrt(self.counted(U, W, self.theta) * (self.share / self.kappa)[self.rows.point, None])
         u = scale * U
         norm = np.maximum(self.per_point(u * u), 1e-30)
