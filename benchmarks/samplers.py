@@ -32,7 +32,7 @@ from pipeline.config import parse_scene
 from pipeline.envmap import resample_area, sh_coefficients
 from pipeline.files import write_json
 from pipeline.images import read_exr
-from pipeline.metrics import held_out_photos, light_psnr, psnr, render_pixels, view_rays
+from pipeline.metrics import held_out_photos, light_psnr, psnr, render_twice, view_rays
 from pipeline.observe import Tracer
 from pipeline.optics import Explanation
 from pipeline.posterior import SAMPLERS
@@ -43,7 +43,8 @@ from pipeline.prior import load_prior
 from pipeline.runtime import set_threads
 from pipeline.stage import overrides
 
-RELIT = 200             # pixels per held-out view
+RELIT, RELIT_SPP = 200, 512     # pixels per held-out view, and paths for each
+HELD_OUT_SPP = 64
 
 
 def aligned_rms(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
@@ -82,10 +83,11 @@ class Truth:
             values.append(value[hit])
         return np.concatenate(where), np.concatenate(values)
 
-    def relit_by(self, x: Explanation, renderer, spp: int = 64) -> np.ndarray:
-        """Radiance (n, 3) of the same pixels under the other light, of `x`."""
+    def relit_by(self, x: Explanation, renderer) -> np.ndarray:
+        """Radiance of the same pixels under the other light, of `x`; twice, with independent noise (2, n, 3)."""
         renderer.set(replace(x, light=resample_area(self.other_light, *renderer.light_shape[:2]).astype(np.float32)))
-        return np.concatenate([renderer.mean_radiance(view_rays(view, at), spp, 0) for view, at in self.pixels])
+        once = lambda seed: np.concatenate([renderer.mean_radiance(view_rays(view, at), RELIT_SPP // 2, seed) for view, at in self.pixels])
+        return np.stack([once(seed) for seed in (0, 1)])
 
     def unknowns(self, light: np.ndarray, colours: np.ndarray, relit_pixels: np.ndarray) -> dict:
         """What intervals are drawn about: SH coefficients of the light (order 2) raw and over its mean, mean base colour of
@@ -98,10 +100,10 @@ class Truth:
 
     def scores(self, x: Explanation, renderer) -> tuple[dict, dict]:
         """Errors of `x`, and its own values of the unknowns."""
-        colours, pixels = gather(x.base_color, self.uv), self.relit_by(x, renderer)
+        colours, (pixels, again) = gather(x.base_color, self.uv), self.relit_by(x, renderer)
         raw, aligned = aligned_rms(colours, self.colours)
         return {"light_psnr": light_psnr(x.light, self.light), "base_colour_rms": raw, "base_colour_rms_aligned": aligned,
-                "relit_psnr": psnr(pixels, self.relit)}, self.unknowns(x.light, colours, pixels)
+                "relit_psnr": psnr(pixels, self.relit, again=again)}, self.unknowns(x.light, colours, 0.5 * (pixels + again))
 
 
 def coverage(draws: np.ndarray, truth: np.ndarray) -> dict:
@@ -129,7 +131,7 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
     settings = scene.refine.model_copy(update={"steps": 0})
     full, small = load(settings.texture), load(min(COARSE, settings.texture))
     held = held_out_photos(full, folders["poses"], folders["mesh"], scene.observe.erode)
-    mean_psnr = lambda pictures: float(np.mean([psnr(picture, photo, mask) for picture, (_, photo, mask) in zip(pictures, held)]))
+    mean_psnr = lambda pictures: float(np.mean([psnr(a, photo, mask, b) for (a, b), (_, photo, mask) in zip(pictures, held)]))
     known = (folder / "transforms.json").exists() and (folder / "truth").is_dir()          # truth has the frame of the given cameras
     truth = Truth(folder / "truth", full, folders["atlas"] / "mesh_uv.ply", prior.height) if known else None
     for seed in range(samples):
@@ -140,7 +142,7 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         row = {"seconds": time.perf_counter() - began}
         set_threads(2)
         final, _ = refine(full, small, drawn, settings, seed, rescale=not facts.get("scale_drawn", False))
-        pictures.append([render_pixels(full.renderer, final, view, mask, 64) for view, _, mask in held])
+        pictures.append([render_twice(full.renderer, final, view, mask, HELD_OUT_SPP) for view, _, mask in held])
         row["held_out_psnr"] = mean_psnr(pictures[-1])
         if truth:
             scores, values = truth.scores(final, full.renderer)

@@ -127,7 +127,7 @@ class Refine(Section):
 
 class Report(Section):
     relight_size: int = Field(320, ge=32, le=2048, description="half the width in pixels of the report's renders")
-    spp: int = Field(128, ge=1, le=4096)
+    spp: int = Field(128, ge=2, le=4096, multiple_of=2)
 
 
 class Scene(Section):

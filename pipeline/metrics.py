@@ -14,9 +14,14 @@ from .observe import inner_mask
 from .optics import Explanation, Renderer
 
 
-def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Peak signal-to-noise ratio in dB of two linear pictures, compared as sRGB values in [0, 1], inside `mask`."""
-    error = (linear_to_srgb(a) - linear_to_srgb(b)) ** 2
+def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None, again: np.ndarray | None = None) -> float:
+    """Peak signal-to-noise ratio in dB of two linear pictures, compared as sRGB values in [0, 1], inside `mask`.
+
+    again: what `a` shows, rendered once more with noise of its own. The two errors are multiplied then, so that the path tracer's noise drops out: at
+    64 paths a pixel its square would be a fifth of all error, and more where the light is peaked.
+    """
+    target = linear_to_srgb(b)
+    error = (linear_to_srgb(a) - target) * (linear_to_srgb(a if again is None else again) - target)
     error = error[mask] if mask is not None else error
     return float(-10 * np.log10(max(error.mean(), 1e-10)))
 
@@ -43,6 +48,11 @@ def render_pixels(renderer: Renderer, x: Explanation, view: View, mask: np.ndarr
     return out
 
 
+def render_twice(renderer: Renderer, x: Explanation, view: View, mask: np.ndarray, spp: int) -> np.ndarray:
+    """Two independent pictures (2, h, w, 3) of `render_pixels`, each of half the `spp` paths, for `psnr`."""
+    return np.stack([render_pixels(renderer, x, view, mask, spp // 2, seed) for seed in (0, 1)])
+
+
 def held_out_photos(problem, poses: Path, mesh: Path, erode: float, limit: int = 8) -> list[tuple[View, np.ndarray, np.ndarray]]:
     """Held-out views (at most `limit`) at the size they are scored, each with its photo (h, w, 3) and its mask (h, w) less a rim of `erode` mixed
     pixels; views of which nothing is left are passed over.
@@ -61,8 +71,10 @@ def held_out_photos(problem, poses: Path, mesh: Path, erode: float, limit: int =
 
 def score_held_out(problem, x: Explanation, poses: Path, mesh: Path, erode: float, spp: int) -> dict:
     """PSNR of `x` on each of `held_out_photos`, and their mean."""
-    scores = {view.name: psnr(render_pixels(problem.renderer, x, view, mask, spp), photo, mask)
-              for view, photo, mask in held_out_photos(problem, poses, mesh, erode)}
+    scores = {}
+    for view, photo, mask in held_out_photos(problem, poses, mesh, erode):
+        picture, again = render_twice(problem.renderer, x, view, mask, spp)
+        scores[view.name] = psnr(picture, photo, mask, again)
     return {"held_out_psnr": float(np.mean(list(scores.values()))) if scores else None, "held_out": scores}
 
 

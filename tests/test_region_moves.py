@@ -9,30 +9,31 @@ from pipeline.posterior.ours import BLOCKS, SHARES, block_shares, sharpest
 from pipeline.posterior.regions import group, texel_regions
 from pipeline.posterior.region_moves import CHROMA, COMMON, DIELECTRIC, METAL, METALLIC, METALLIC_PRIOR, TAIL, draw_offsets, draw_regions
 
+MOST_METALLIC = np.repeat([1.0, 0.2], 4)       # of eight levels: no rough metals
 SILENT = SimpleNamespace(region=np.array([0, 1]), rows=SimpleNamespace(point=np.array([0, 1])), point_materials=lambda t: (t.level, t.m),
-                         point_values=lambda U, W, t: np.zeros(2))
+                         point_values=lambda U, W, t: np.zeros(2), lobes=SimpleNamespace(most_metallic=MOST_METALLIC))
 
 
 def from_the_prior(rng) -> Theta:
-    """Two regions, directly: Student's t as a normal over a chi, impossible colours thrown away."""
+    """Two regions, directly: Student's t as a normal over a chi, impossible colours and rough metals thrown away."""
     root = np.linalg.cholesky((1 - COMMON) * np.eye(2) + COMMON)
     student = lambda k: root @ rng.normal(size=(2, k)) * np.sqrt(TAIL / rng.chisquare(TAIL))
     across = np.linalg.svd(np.ones((1, 3)))[2][1:]
     while True:
-        m = rng.choice(METALLIC, 2, p=np.exp(METALLIC_PRIOR) / np.exp(METALLIC_PRIOR).sum())
+        level, m = rng.integers(8, size=2), rng.choice(METALLIC, 2, p=np.exp(METALLIC_PRIOR) / np.exp(METALLIC_PRIOR).sum())
         centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
         mu = np.exp((centre + width * student(1)[:, 0])[:, None] + CHROMA * student(2) @ across)
-        if mu.max() < 0.98:
-            return Theta(mu, np.full(2, 0.3), np.zeros(2, int), m)
+        if mu.max() < 0.98 and (m <= MOST_METALLIC[level]).all():
+            return Theta(mu, np.full(2, 0.3), level, m)
 
 
 def figures(thetas: list[Theta]) -> np.ndarray:
-    """Quartiles of one region's log brightness, share of metals, share of times that both regions are on one side of its median, tint."""
+    """Quartiles of one region's log brightness, share of metals, mean level over 8, share of times that both regions are on one side of its median, tint."""
     log_mu = np.log([t.mu for t in thetas])
     bright, metal = log_mu.mean(2), np.array([t.m[0] > 0.5 for t in thetas])
     middle = np.median(bright)
     tint = np.median(np.abs(log_mu[:, 0] - bright[:, :1]))
-    return np.array([*np.percentile(bright[:, 0], [25, 50, 75]), metal.mean(), ((bright > middle).sum(1) != 1).mean(), tint])
+    return np.array([*np.percentile(bright[:, 0], [25, 50, 75]), metal.mean(), np.mean([t.level[0] for t in thetas]) / 8, ((bright > middle).sum(1) != 1).mean(), tint])
 
 
 def test_moves_leave_the_prior_as_it_is():
@@ -92,7 +93,7 @@ class Two:
     def __init__(self, targets, sharpness):
         self.region, self.offset = np.repeat([0, 1], 60), np.zeros((2, 120), int)
         self.targets, self.sharpness = targets, sharpness
-        self.rows, self.lobes = SimpleNamespace(point=np.arange(120)), SimpleNamespace(levels=range(8 * BETWEEN))
+        self.rows, self.lobes = SimpleNamespace(point=np.arange(120)), SimpleNamespace(levels=range(8 * BETWEEN), most_metallic=np.ones(8 * BETWEEN))
 
     point_materials = Photos.point_materials
 

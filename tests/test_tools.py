@@ -62,6 +62,14 @@ def test_psnr_of_known_errors():
     assert np.isclose(psnr(a, b, mask), 20, atol=0.01)
 
 
+def test_psnr_of_two_noisy_renders_is_that_of_the_picture_without_noise():
+    rng, photo = np.random.default_rng(0), np.full((100, 100, 3), 0.3)
+    shown = 1.2 * photo
+    noisy = lambda: shown + rng.normal(scale=0.025, size=shown.shape)
+    a, b = noisy(), noisy()
+    assert np.isclose(psnr(a, photo, again=b), psnr(shown, photo), atol=0.1) and psnr(a, photo) < psnr(shown, photo) - 0.4
+
+
 def test_light_psnr_ignores_one_scale():
     env = np.random.default_rng(0).uniform(0.1, 2, (8, 16, 3))
     assert light_psnr(env, 3 * env) > 80 > light_psnr(env, env[::-1])

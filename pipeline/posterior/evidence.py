@@ -105,7 +105,7 @@ class Search:
         light, modes = at.lobes(r, level)
         U, W = mix(light, m)
         part.theta = theta = fitted_colour(part, theta, U, W)
-        rest, H, b = part.observed - theta.mu * U - W, 0.0, 0.0
+        rest, H, b = part.rest(U, W, theta), 0.0, 0.0
         for c, whiten in enumerate(part.whiteners(U, W)):
             u, w = mix(modes[c], m)
             J = whiten(float(theta.mu[0, c]) * u + w)
@@ -120,7 +120,8 @@ class Search:
         """One roughness and metallic for all regions of `group`, or what they have, by evidence: Theta of all regions, and the light's
         step that goes with it (K,).
         """
-        choices = [(level, m) for level in range(0, len(self.parts[0].lobes.levels), BETWEEN) for m in CANDIDATES]
+        lobes = self.parts[0].lobes
+        choices = [(level, m) for level in range(0, len(lobes.levels), BETWEEN) for m in CANDIDATES if m <= lobes.most_metallic[level]]
         changed = lambda choice: [self.piece(r, p.theta.made_of(*choice), at) if r in group else p for r, p in enumerate(pieces)]
         found = []
         for candidate in [pieces] + [changed(choice) for choice in choices]:
@@ -169,8 +170,9 @@ class Search:
         """
         count = len(self.parts)
         order = lambda: [list(range(count))] + [[r] for r in rng.permutation(count)]
-        last, flat = len(self.parts[0].lobes.levels) - 1, self.linear(torch.zeros(self.coded.size))
-        uniform = max((self.alone(theta.made_of(min(level, last), m), flat) for level, m in UNIFORM), key=lambda start: start[0])
+        most, flat = self.parts[0].lobes.most_metallic, self.linear(torch.zeros(self.coded.size))
+        materials = [(level, m) for level, m in {(min(level, len(most) - 1), m) for level, m in UNIFORM} if m <= most[level]]
+        uniform = max((self.alone(theta.made_of(*material), flat) for material in sorted(materials)), key=lambda start: start[0])
         found = [(theta, flat.c, FEW), (*uniform[1:], 1.0)]
         for k, (now, c, weight) in enumerate(found):
             for sweep in range(sweeps):
@@ -207,7 +209,7 @@ def damped(c: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
 def fitted_colour(part: Photos, theta: Theta, U: np.ndarray, W: np.ndarray) -> Theta:
     """The region's Theta with mean and spread of the points' best base colours, U and W (n, 3) being what its lobes see."""
     out = theta.copy()
-    colour = np.clip(part.colours(*part.sums(U, W, out, part.counted(U, W, out))[:2], out)[0], 1e-3, 1.2)
+    colour = np.clip(part.colours(*part.sums(U, W, out, part.counted(U, W, out)), out)[0], 1e-3, 1.2)
     out.mu[0] = np.clip(colour.mean(0), 0.01, 0.95)
     out.tau[0] = np.clip((colour.std(0) / out.mu[0]).mean(), 0.05, 1.5)
     return out

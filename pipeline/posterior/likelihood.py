@@ -33,6 +33,7 @@ from .problem import ALBEDO_MAX, SHADE
 NU = 4.0                                                    # degrees of freedom of the residuals
 LEVELS = (0.08, 0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0)      # roughness of the lobes that are traced
 BETWEEN = 4                                                 # steps of roughness from one of them to the next, its lobes by interpolation
+SWALLOWED = 0.3                                             # share of the light that a lobe may lose by what its facets reflect twice, which it leaves out
 BRIGHT = 0.9                                                # quantile of a point's pixels whose base colour must be possible
 METALLIC = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 1.0])
 
@@ -73,6 +74,9 @@ class Lobes:
     `levels` has BETWEEN steps of log roughness from each to the next, where lobes are interpolated: halfway between, that is as near to the traced lobe
     as two traced ones are to each other (2 to 6 %; the nearer neighbour: 7 to 22 %). A gloss tells how bright the light is by how broad it is; with the
     traced levels alone it would be sure of a wrong brightness.
+
+    `most_metallic` (levels,) of METALLIC goes down where the lobe of a white metal loses light: from SWALLOWED on it is no metal there is (Heitz et
+    al. 2016), yet makes a good dark wool.
     """
 
     def __init__(self, transport: Transport, roughness_min: float, seed: int):
@@ -85,6 +89,7 @@ class Lobes:
         steps = np.arange(BETWEEN * (len(traced) - 1) + 1) / BETWEEN
         self.levels = tuple(np.exp(np.interp(steps, np.arange(len(traced)), np.log(traced))).round(3).tolist())
         self.albedo = self.between(np.stack([lobe_albedo(r) for r in traced]))               # (levels, 4)
+        self.most_metallic = np.array([METALLIC[METALLIC * (1 - white) <= SWALLOWED].max() for _, _, white, _ in self.albedo])
 
     @staticmethod
     def between(values: np.ndarray) -> np.ndarray:
@@ -174,7 +179,7 @@ class Photos:
         if k.any():
             lower = precision[k]
             precision[k] = 0
-            colour = self.colours(*self.sums(U, W, theta, precision)[:2], theta)[0][self.rows.point[k]]
+            colour = self.colours(*self.sums(U, W, theta, precision), theta)[0][self.rows.point[k]]
             precision[k] = np.where(colour * U[k] + W[k] < self.observed[k], lower, 0)
         return precision
 
@@ -189,9 +194,10 @@ class Photos:
         return ((theta.tau[:, None] * theta.mu) ** 2)[self.region]
 
     def point_materials(self, theta: Theta) -> tuple[np.ndarray, np.ndarray]:
-        """Roughness level and metallic of every point, (p,) each."""
+        """Roughness level and metallic of every point, (p,) each; as metallic as can be, where offsets lead beyond."""
+        level = np.clip(theta.level[self.region] + self.offset[0], 0, len(self.lobes.levels) - 1)
         m = METALLIC[np.clip(metallic_step(theta.m)[self.region] + self.offset[1], 0, len(METALLIC) - 1)]
-        return np.clip(theta.level[self.region] + self.offset[0], 0, len(self.lobes.levels) - 1), m
+        return level, np.minimum(m, self.lobes.most_metallic[level])
 
     def set(self, theta: Theta) -> None:
         """Materials that `predict`, `value` and `whitened` use. Matrices are rebuilt only where they changed."""
@@ -238,10 +244,14 @@ class Photos:
         """Sums (p, 3) over each point's rows (n, 3)."""
         return np.add.reduceat(rows, self.starts, axis=0)
 
-    def sums(self, U, W, theta: Theta, precision: np.ndarray, share=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Per point and channel: sum w U^2, sum w U r, sum w r^2 over kappa, with w `precision` and r = y - mu U - W; (p, 3) each."""
-        r, share = self.observed - theta.mu[self.row_region] * U - W, self.share if share is None else share
-        return tuple(self.thinned(v, share) for v in (precision * U * U, precision * U * r, precision * r * r))
+    def rest(self, U, W, theta: Theta) -> np.ndarray:
+        """What the regions' mean colours leave over, y - mu U - W, (n, 3)."""
+        return self.observed - theta.mu[self.row_region] * U - W
+
+    def sums(self, U, W, theta: Theta, precision: np.ndarray, share=None) -> tuple[np.ndarray, np.ndarray]:
+        """Per point and channel: sum w U^2 and sum w U r over kappa, with w `precision` and r the `rest`; (p, 3) each."""
+        wU, share = precision * U, self.share if share is None else share
+        return self.thinned(wU * U, share), self.thinned(wU * self.rest(U, W, theta), share)
 
     def thinned(self, rows: np.ndarray, share) -> np.ndarray:
         """`per_point` of rows (n, 3), over kappa and with the points' shares."""
@@ -252,7 +262,8 @@ class Photos:
         none gains by falling silent.
         """
         v = self.variance(theta)
-        q, g, s = self.sums(U, W, theta, self.counted(U, W, theta))
+        precision = self.counted(U, W, theta)
+        (q, g), s = self.sums(U, W, theta, precision), self.thinned(precision * self.rest(U, W, theta) ** 2, self.share)
         all_q = self.thinned(self.precision * U * U, self.share) if self.clipped.any() else q
         possible = log_possible(*self.colours(q, g, theta), self.ceiling) - log_possible(theta.mu[self.region], v, self.ceiling)
         return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * all_q) + possible).sum(1)
@@ -274,7 +285,7 @@ class Photos:
     def residual(self, light: np.ndarray) -> torch.Tensor:
         """r (3, n) of `whitened`, without building T."""
         U, W = self.predict(light)
-        rest = torch.from_numpy((self.observed - self.theta.mu[self.row_region] * U - W).astype(np.float32))
+        rest = torch.from_numpy(self.rest(U, W, self.theta).astype(np.float32))
         return torch.stack([whiten(rest[:, c:c + 1])[:, 0] for c, whiten in enumerate(self.whiteners(U, W))])
 
     def adjoint(self, light: np.ndarray, w: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -291,7 +302,7 @@ class Photos:
         mean colour moves by d; T is the direct part of the transport.
         """
         (U, W), mu = self.predict(light), self.theta.mu[self.row_region]
-        rest = self.observed - mu * U - W
+        rest = self.rest(U, W, self.theta)
         column = lambda x: torch.from_numpy(x.astype(np.float32))[:, None]
         T, r, V = torch.empty((3,) + self.U.shape), torch.empty(3, len(mu)), torch.zeros(3, len(mu), len(self.theta.m))
         for c, whiten in enumerate(self.whiteners(U, W)):
@@ -303,7 +314,7 @@ class Photos:
 
     def draw_colour(self, U, W, theta: Theta, rng) -> np.ndarray:
         """Base colour of every point (p, 3) given everything else, within [0, ceiling]."""
-        mean, variance = self.colours(*self.sums(U, W, theta, self.counted(U, W, theta), 1.0)[:2], theta)
+        mean, variance = self.colours(*self.sums(U, W, theta, self.counted(U, W, theta), 1.0), theta)
         deviation = np.sqrt(variance)
         low, high = (stats.norm.cdf((edge - mean) / deviation) for edge in (0.0, self.ceiling))
         inside = stats.norm.ppf(np.clip(low + rng.random(low.shape) * (high - low), 1e-9, 1 - 1e-9))

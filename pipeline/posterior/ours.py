@@ -37,16 +37,16 @@ SHARES = 0.6, 0.97          # of the spread of colours that regions explain, dra
 NODES = 0.5                 # radiosity nodes beside the points, as a share of their number
 
 
-def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts: np.ndarray, levels) -> Theta:
-    """Region medians of the fit's maps."""
+def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts: np.ndarray, lobes: Lobes) -> Theta:
+    """Region medians of the fit's maps, as metallic as can be."""
     at = uv[starts]
     values = {n: gather(np.ascontiguousarray(getattr(fit, n)), at).reshape(len(at), -1) for n in ("base_color", "roughness", "metallic")}
     count = region.max() + 1
     median = lambda v, r: np.median(v[region == r], axis=0)
     mu = np.clip(np.stack([median(values["base_color"], r) for r in range(count)]), 0.02, 0.95)
-    level = np.array([np.abs(np.array(levels) - median(values["roughness"], r)).argmin() for r in range(count)])
+    level = np.array([np.abs(np.array(lobes.levels) - median(values["roughness"], r)).argmin() for r in range(count)])
     m = METALLIC[metallic_step(np.array([median(values["metallic"], r) for r in range(count)]).reshape(count))]
-    return Theta(mu, np.full(count, 0.3), level, m)
+    return Theta(mu, np.full(count, 0.3), level, np.minimum(m, lobes.most_metallic[level]))
 
 
 def sharpest(normal_error: float) -> float:
@@ -81,7 +81,7 @@ class Chain(Turns):
         lobes = Lobes(transport, max(problem.roughness_min, sharpest(problem.normal_error)), own)
         photos = Photos(transport, lobes, rgb, clipped, region, problem.renderer.max_depth - 1)
         photos.share, photos.ceiling = block_shares(transport.position[starts], rng), ALBEDO_MAX / contrast(rows, self.obs.rgb)
-        theta = start_materials(fit, self.obs.uv[rows.observation], region, starts, lobes.levels)
+        theta = start_materials(fit, self.obs.uv[rows.observation], region, starts, lobes)
         self.width, self.spread_width = (np.full(len(theta.m), 0.05) for _ in range(2))
         self.centre = float(np.log(scale_of(fit.light)))
         super().__init__(photos, theta, self.centre, prior, load_prior(settings.search_prior), settings, rng, noise)

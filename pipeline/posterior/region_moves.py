@@ -26,10 +26,28 @@ WIDTH_PRIOR = np.log([0.5, 0.2, 0.2, 0.1])      # a region is of one material un
 SCALE_PRIOR = 1.5                           # deviation of the log light scale about the level that fits a grey object
 
 
-def joint_tail(v: np.ndarray, freedom: int) -> float:
-    """Log of Student's t of standardised v (R, k), `freedom` of whose columns are independent; rows correlate by COMMON."""
-    square = ((v**2).sum() - COMMON / (1 + (len(v) - 1) * COMMON) * (v.sum(0) ** 2).sum()) / (1 - COMMON)
-    return -0.5 * (TAIL + freedom * len(v)) * float(np.log1p(square / TAIL))
+def joint_tail(square: float, total: np.ndarray, count: int, freedom: int) -> float:
+    """Log of Student's t of `count` standardised rows of which `freedom` columns are independent, from their sum of squares and their sums
+    by column; rows correlate by COMMON.
+    """
+    apart = (square - COMMON / (1 + (count - 1) * COMMON) * float(total @ total)) / (1 - COMMON)
+    return -0.5 * (TAIL + freedom * count) * float(np.log1p(apart / TAIL))
+
+
+def colour_parts(mu: np.ndarray, m: np.ndarray) -> np.ndarray:
+    """What `log_colour_of` needs of every region's colour (R, 3) and metallic (R,): standardised brightness, its square, log width, the chroma's
+    sum of squares, and chroma (R, 7).
+    """
+    log_mu = np.log(mu)
+    mean = log_mu.mean(1)
+    centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
+    bright, chroma = (mean - centre) / width, (log_mu - mean[:, None]) / CHROMA
+    return np.column_stack([bright, bright**2, np.log(width), (chroma**2).sum(1), chroma])
+
+
+def log_colour_of(total: np.ndarray, count: int) -> float:
+    """`log_colour_prior` from the sum (7,) of `count` regions' `colour_parts`."""
+    return joint_tail(total[1], total[:1], count, 1) - float(total[2]) + joint_tail(total[3], total[4:], count, 2)
 
 
 def log_colour_prior(mu: np.ndarray, m: np.ndarray) -> float:
@@ -37,10 +55,7 @@ def log_colour_prior(mu: np.ndarray, m: np.ndarray) -> float:
     tinted, as a whole too. Independent colours would make the common brightness and tint, which the light trades with, the surer the
     more regions there are.
     """
-    log_mu = np.log(mu)
-    mean = log_mu.mean(1)
-    centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
-    return joint_tail(((mean - centre) / width)[:, None], 1) - float(np.log(width).sum()) + joint_tail((log_mu - mean[:, None]) / CHROMA, 2)
+    return log_colour_of(colour_parts(mu, m).sum(0), len(m))
 
 
 def log_own_prior(theta: Theta) -> np.ndarray:
@@ -91,7 +106,8 @@ def rows_of(lobes: np.ndarray, photos: Photos, theta: Theta) -> tuple[np.ndarray
 
 def draw_regions(photos: Photos, lobes: np.ndarray, theta: Theta, steps: int, rng, width: np.ndarray, proposal=propose) -> Theta:
     """`steps` Metropolis-Hastings steps of every region. `width` (R,) adapts towards 30 % acceptance, in place."""
-    total = lambda t: np.bincount(photos.region, photos.point_values(*rows_of(lobes, photos, t), t), len(t.m)) + log_own_prior(t)
+    likelihood = lambda t: np.bincount(photos.region, photos.point_values(*rows_of(lobes, photos, t), t), len(t.m))
+    total = lambda t: np.where(t.m > photos.lobes.most_metallic[t.level], -np.inf, likelihood(t) + log_own_prior(t))
     now = total(theta)
     for _ in range(steps):
         new = proposal(theta, len(lobes), rng, width)
@@ -135,12 +151,14 @@ def categorical(log_odds: np.ndarray, rng) -> np.ndarray:
 
 def accepted(theta: Theta, new: Theta, gain: np.ndarray, rng) -> np.ndarray:
     """Which regions take their new materials, one after the other; gain (R,): what speaks for it beside the prior of the colours."""
-    yes, now = np.zeros(len(gain), bool), log_colour_prior(theta.mu, theta.m)
+    yes, old = np.zeros(len(gain), bool), colour_parts(theta.mu, theta.m)
+    change, total = colour_parts(new.mu, new.m) - old, old.sum(0)
+    now = log_colour_of(total, len(gain))
     for r, level in enumerate(np.log(rng.random(len(gain)))):
-        yes[r] = True
-        then = log_colour_prior(np.where(yes[:, None], new.mu, theta.mu), np.where(yes, new.m, theta.m))
+        then = log_colour_of(total + change[r], len(gain))
         yes[r] = level < gain[r] + then - now
-        now = then if yes[r] else now
+        if yes[r]:
+            total, now = total + change[r], then
     return yes
 
 

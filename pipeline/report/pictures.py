@@ -13,7 +13,7 @@ from ..cameras import Rig, View
 from ..config import Scene
 from ..envmap import directions, mean_radiance, resample_area
 from ..images import linear_to_srgb, read_exr, read_png, to_srgb8
-from ..metrics import psnr, render_view
+from ..metrics import psnr, render_twice, render_view
 from ..optics import Explanation, Renderer
 
 HEAT = cv2.COLORMAP_INFERNO
@@ -86,7 +86,8 @@ class Painter:
 
     def sample(self, x: Explanation) -> dict:
         """All pictures of one sample as bytes, and its PSNR in this view."""
-        picture = render_view(self.renderer(x), x, self.view, self.scene.report.spp)
+        halves = render_twice(self.renderer(x), x, self.view, np.ones_like(self.mask, bool), self.scene.report.spp)
+        picture = halves.mean(0)
         error = np.abs(linear_to_srgb(picture) - linear_to_srgb(self.photo)).mean(-1) * self.mask
         level = float(mean_radiance(x.light).mean())
         relight = Explanation(evening_light(x.light.shape[0]) * level, x.base_color, x.roughness, x.metallic)
@@ -96,7 +97,7 @@ class Painter:
         return {"lights": [encode(show_light(x.light, e / level)) for e in (0.08, 0.4, 2.0)],
                 "base_color": encode(to_srgb8(shrink(x.base_color))), "roughness": grey(x.roughness), "metallic": grey(x.metallic),
                 "render": encode(to_srgb8(picture)[self.box]), "error": encode(heat(error, 0.25)[self.box]),
-                "relight": encode(to_srgb8(other)[self.box]), "psnr": psnr(picture, self.photo, self.mask),
+                "relight": encode(to_srgb8(other)[self.box]), "psnr": psnr(halves[0], self.photo, self.mask, halves[1]),
                 "mean_radiance": level, "mean_base_color": float(x.base_color.mean())}
 
     def spread(self, samples: list[Explanation]) -> dict[str, bytes]:
