@@ -1,4 +1,6 @@
 """The linear operator against the path tracer, and the likelihood against dense linear algebra."""
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -143,7 +145,7 @@ def test_a_lamp_in_one_pixel_is_as_bright_as_it_is(scene, ball):
     assert np.abs(error).mean() < 0.03
 
 
-@pytest.mark.parametrize("level,m,a", [(8, 0.0, 0.9), (14, 0.5, 0.9), (24, 0.0, 0.3), (24, 0.5, 0.9), (24, 1.0, 0.9)])
+@pytest.mark.parametrize("level,m,a", [(8, 0.0, 0.9), (14, 0.5, 0.9), (24, 0.0, 0.3), (24, 0.5, 0.9), (24, 1.0, 0.9)])       # the last two are no metals there are
 def test_light_off_the_object_equals_the_path_tracers(bowl, level, m, a):
     """A bowl lights itself: up to a third of what is seen. A rough metal gives off much less than its base colour says."""
     renderer, observations = bowl
@@ -151,7 +153,9 @@ def test_light_off_the_object_equals_the_path_tracers(bowl, level, m, a):
     rows = choose_rows(observations, renderer.scene, 80, 3, 0)
     transport = Transport(renderer.scene, renderer.mesh, observations, rows, 8, 40, 0)
     n = len(rows.point)
-    photos = Photos(transport, Lobes(transport, 0.1, 0), np.ones((n, 3)), np.zeros(n, bool), np.zeros(80, int), renderer.max_depth - 1)
+    lobes = Lobes(transport, 0.1, 0)
+    lobes.most_metallic[:] = 1.0
+    photos = Photos(transport, lobes, np.ones((n, 3)), np.zeros(n, bool), np.zeros(80, int), renderer.max_depth - 1)
     photos.set(Theta(np.full((1, 3), a), np.array([0.01]), np.array([level]), np.array([m])))
     U, W = photos.predict(light.reshape(-1, 3))
     renderer.set(uniform(light, photos.lobes.levels[level], m, a))
@@ -172,6 +176,16 @@ def test_lobes_between_the_traced_ones(scene, transport):
     nodes = np.random.default_rng(0).random((len(transport.node_position), 3))
     np.testing.assert_allclose(lobes.apply(light, nodes)[6], lobes.at(6).numpy() @ light + [
         0.5 * (a @ nodes + b @ nodes) for a, b in zip(lobes.off[1], lobes.off[2])], rtol=1e-4)
+
+
+def test_metals_are_no_rougher_than_their_lobe_keeps_light(transport):
+    """All of METALLIC up to roughness .65, where a white metal reflects .75; at 1, with .38, no more than .35; a point's offset leads no further."""
+    lobes = Lobes(transport, 0.2, 0)
+    most = dict(zip(lobes.levels, lobes.most_metallic))
+    assert most[0.25] == most[0.65] == 1 and most[1.0] == 0.35 and (np.diff(lobes.most_metallic) <= 0).all()
+    photos = SimpleNamespace(region=np.zeros(2, int), offset=np.array([[0, 0], [0, 9]]), lobes=lobes)
+    rough = Theta(np.full((1, 3), 0.5), np.array([0.1]), np.array([len(most) - 1]), np.array([0.05]))
+    np.testing.assert_allclose(Photos.point_materials(photos, rough)[1], [0.05, 0.35])
 
 
 def test_light_between_parts_adds_up():
