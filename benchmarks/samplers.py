@@ -44,6 +44,7 @@ from pipeline.runtime import set_threads
 from pipeline.stage import overrides
 
 RELIT, RELIT_SPP = 200, 512     # pixels per held-out view, and paths for each
+AT_ONCE = 64                    # of those paths in one pass
 HELD_OUT_SPP = 64
 
 
@@ -86,8 +87,9 @@ class Truth:
     def relit_by(self, x: Explanation, renderer) -> np.ndarray:
         """Radiance of the same pixels under the other light, of `x`; twice, with independent noise (2, n, 3)."""
         renderer.set(replace(x, light=resample_area(self.other_light, *renderer.light_shape[:2]).astype(np.float32)))
-        once = lambda seed: np.concatenate([renderer.mean_radiance(view_rays(view, at), RELIT_SPP // 2, seed) for view, at in self.pixels])
-        return np.stack([once(seed) for seed in (0, 1)])
+        many = lambda view, at: view_rays(view, np.repeat(at, AT_ONCE, 0))
+        once = lambda seed: np.concatenate([renderer.mean_radiance(many(view, at), RELIT_SPP // 2 // AT_ONCE, seed) for view, at in self.pixels])
+        return np.stack([once(seed).reshape(-1, AT_ONCE, 3).mean(1) for seed in (0, 1)])
 
     def unknowns(self, light: np.ndarray, colours: np.ndarray, relit_pixels: np.ndarray) -> dict:
         """What intervals are drawn about: SH coefficients of the light (order 2) raw and over its mean, mean base colour of

@@ -79,7 +79,7 @@ def photographed(sphere: Sphere, roughness: float, metallic: float, light: np.nd
     with tempfile.TemporaryDirectory() as folder:
         scene, path = ball(Path(folder))
         transport = Transport(scene, path, sphere, sphere.rows, size, 0, 0)
-    lobes = Lobes(transport, roughness, 0)
+    lobes = Lobes(transport, roughness, 0, swallowed=1.0)                   # of metals at any roughness, as the paper's
     n, points = len(sphere.rows.point), sphere.rows.point.max() + 1
     photos = Photos(transport, lobes, np.ones((n, 3)), np.zeros(n, bool), np.zeros(points, int), 1)
     photos.set(Theta(np.full((1, 3), COLOUR), np.full(1, 1e-3), np.zeros(1, int), np.full(1, metallic)))

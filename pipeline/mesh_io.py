@@ -21,21 +21,25 @@ class Mesh:
     uv: np.ndarray | None = None
 
 
+def unit(v: np.ndarray) -> np.ndarray:
+    """Rows of v (n, 3) at length 1; zero stays zero."""
+    return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-20)
+
+
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Area-weighted unit normals (n, 3)."""
     cross = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
     out = np.zeros_like(vertices, dtype=float)
     for corner in range(3):
         np.add.at(out, faces[:, corner], cross)
-    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-20)
+    return unit(out)
 
 
 def normal_wobble(mesh: Mesh) -> float:
     """Median angle (radians) between a vertex's normal and its neighbours' mean: of even curvature it is 0, of noise the noise's own size."""
     i, j = mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel()
     edges = sparse.coo_matrix((np.ones(len(i), bool), (i, j)), (len(mesh.vertices),) * 2).tocsr()
-    mean = (edges + edges.T) @ mesh.normals
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-20)
+    mean = unit((edges + edges.T) @ mesh.normals)
     return float(np.median(np.arccos(np.clip((mean * mesh.normals).sum(1), -1, 1))))
 
 

@@ -153,9 +153,7 @@ def test_light_off_the_object_equals_the_path_tracers(bowl, level, m, a):
     rows = choose_rows(observations, renderer.scene, 80, 3, 0)
     transport = Transport(renderer.scene, renderer.mesh, observations, rows, 8, 40, 0)
     n = len(rows.point)
-    lobes = Lobes(transport, 0.1, 0)
-    lobes.most_metallic[:] = 1.0
-    photos = Photos(transport, lobes, np.ones((n, 3)), np.zeros(n, bool), np.zeros(80, int), renderer.max_depth - 1)
+    photos = Photos(transport, Lobes(transport, 0.1, 0, swallowed=1.0), np.ones((n, 3)), np.zeros(n, bool), np.zeros(80, int), renderer.max_depth - 1)
     photos.set(Theta(np.full((1, 3), a), np.array([0.01]), np.array([level]), np.array([m])))
     U, W = photos.predict(light.reshape(-1, 3))
     renderer.set(uniform(light, photos.lobes.levels[level], m, a))

@@ -75,11 +75,11 @@ class Lobes:
     as two traced ones are to each other (2 to 6 %; the nearer neighbour: 7 to 22 %). A gloss tells how bright the light is by how broad it is; with the
     traced levels alone it would be sure of a wrong brightness.
 
-    `most_metallic` (levels,) of METALLIC goes down where the lobe of a white metal loses light: from SWALLOWED on it is no metal there is (Heitz et
+    `most_metallic` (levels,) of METALLIC goes down where the lobe of a white metal loses light: from `swallowed` on it is no metal there is (Heitz et
     al. 2016), yet makes a good dark wool.
     """
 
-    def __init__(self, transport: Transport, roughness_min: float, seed: int):
+    def __init__(self, transport: Transport, roughness_min: float, seed: int, swallowed: float = SWALLOWED):
         traced = [r for r in LEVELS if r >= roughness_min]
         self.direct, self.off = [], []
         for k, r in enumerate(traced):
@@ -89,7 +89,7 @@ class Lobes:
         steps = np.arange(BETWEEN * (len(traced) - 1) + 1) / BETWEEN
         self.levels = tuple(np.exp(np.interp(steps, np.arange(len(traced)), np.log(traced))).round(3).tolist())
         self.albedo = self.between(np.stack([lobe_albedo(r) for r in traced]))               # (levels, 4)
-        self.most_metallic = np.array([METALLIC[METALLIC * (1 - white) <= SWALLOWED].max() for _, _, white, _ in self.albedo])
+        self.most_metallic = np.array([METALLIC[METALLIC * (1 - white) <= swallowed].max() for _, _, white, _ in self.albedo])
 
     @staticmethod
     def between(values: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 from ..cameras import Rig, load_cameras
 from ..config import Mesh as MeshSettings
 from ..errors import InputError
-from ..files import read_json
+from ..files import json_entry, read_json
 from ..images import linear_to_srgb, luminance, read_exr, read_png, write_png
 from ..masks.agreement import hull_points
 from ..mesh_io import Mesh, load_mesh, normal_wobble, save_mesh
@@ -108,7 +108,7 @@ def make_mesh(poses: Path, masks_folder: Path, scene: Path, out: Path, settings:
         metrics = {"method": "given", "why": "the scene folder has a mesh", "normal_error": 0.0} | facts(mesh)
     else:
         masks = {v.name: read_png(masks_folder / "masks" / f"{v.name}.png") > 127 for v in rig.views}
-        given = read_json(masks_folder / "masks.json")["method"] == "given"
+        given = json_entry(masks_folder / "masks.json", "method") == "given"
         field, grid, metrics = build_field(rig, poses, masks, read_json(masks_folder / "confidence.json"), settings, given, threads)
         mesh, more = simplify(to_mesh(field, grid), settings.faces)
         metrics |= more | {"cell": grid.cell, "normal_error": normal_wobble(mesh), "warnings": warnings_of(rig, masks)}
