@@ -26,6 +26,7 @@ from scipy import stats
 from pipeline.envmap import directions, sh_coefficients, solid_angles
 from pipeline.files import write_json
 from pipeline.images import luminance
+from pipeline.mesh_io import unit
 from pipeline.posterior.pooling import Whole
 from pipeline.posterior.split_gibbs import SLICES, LightLikelihood, draw_light, noise_gain, prior_steps, widths
 from pipeline.prior import load_prior
@@ -62,8 +63,7 @@ class Observed(LightLikelihood):
 def lobes(prior, rng) -> torch.Tensor:
     """(ROWS, M) cosine lobes about random directions, exponents 1 to 300, each of unit integral."""
     d, solid = directions(prior.height, prior.width).reshape(-1, 3), solid_angles(prior.height, prior.width).reshape(-1)
-    axes = rng.normal(size=(ROWS, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    axes = unit(rng.normal(size=(ROWS, 3)))
     A = np.maximum(axes @ d.T, 0) ** (10 ** rng.uniform(0, 2.5, (ROWS, 1))) * solid
     return torch.from_numpy((A / A.sum(1, keepdims=True)).astype(np.float32))
 

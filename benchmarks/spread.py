@@ -31,7 +31,7 @@ from pipeline.config import Sample
 from pipeline.envmap import directions, resample_area, solid_angles
 from pipeline.files import write_json
 from pipeline.images import luminance, write_png
-from pipeline.mesh_io import Mesh, save_mesh
+from pipeline.mesh_io import Mesh, save_mesh, unit
 from pipeline.posterior.coded import PixelCode
 from pipeline.posterior.likelihood import LEVELS, Lobes, Photos, Theta
 from pipeline.posterior.problem import SHADE, generators
@@ -70,7 +70,7 @@ def ball(folder: Path) -> tuple[object, Path]:
     o3d = import_open3d()
     sphere, path = o3d.geometry.TriangleMesh.create_sphere(1.0, 80), folder / "ball.ply"
     vertices = np.asarray(sphere.vertices)
-    save_mesh(path, Mesh(vertices, np.asarray(sphere.triangles), vertices / np.linalg.norm(vertices, axis=1, keepdims=True)))
+    save_mesh(path, Mesh(vertices, np.asarray(sphere.triangles), unit(vertices)))
     return mi.load_dict({"type": "scene", "obj": {"type": "ply", "filename": str(path)}}), path
 
 

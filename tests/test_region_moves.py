@@ -33,7 +33,8 @@ def figures(thetas: list[Theta]) -> np.ndarray:
     bright, metal = log_mu.mean(2), np.array([t.m[0] > 0.5 for t in thetas])
     middle = np.median(bright)
     tint = np.median(np.abs(log_mu[:, 0] - bright[:, :1]))
-    return np.array([*np.percentile(bright[:, 0], [25, 50, 75]), metal.mean(), np.mean([t.level[0] for t in thetas]) / 8, ((bright > middle).sum(1) != 1).mean(), tint])
+    level = np.mean([t.level[0] for t in thetas]) / 8
+    return np.array([*np.percentile(bright[:, 0], [25, 50, 75]), metal.mean(), level, ((bright > middle).sum(1) != 1).mean(), tint])
 
 
 def test_moves_leave_the_prior_as_it_is():

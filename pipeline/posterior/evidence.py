@@ -209,7 +209,7 @@ def damped(c: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
 def fitted_colour(part: Photos, theta: Theta, U: np.ndarray, W: np.ndarray) -> Theta:
     """The region's Theta with mean and spread of the points' best base colours, U and W (n, 3) being what its lobes see."""
     out = theta.copy()
-    colour = np.clip(part.colours(*part.sums(U, W, out, part.counted(U, W, out)), out)[0], 1e-3, 1.2)
+    colour = np.clip(part.colours(*part.sums(U, part.rest(U, W, out), part.counted(U, W, out)), out)[0], 1e-3, 1.2)
     out.mu[0] = np.clip(colour.mean(0), 0.01, 0.95)
     out.tau[0] = np.clip((colour.std(0) / out.mu[0]).mean(), 0.05, 1.5)
     return out

@@ -179,7 +179,7 @@ class Photos:
         if k.any():
             lower = precision[k]
             precision[k] = 0
-            colour = self.colours(*self.sums(U, W, theta, precision), theta)[0][self.rows.point[k]]
+            colour = self.colours(*self.sums(U, self.rest(U, W, theta), precision), theta)[0][self.rows.point[k]]
             precision[k] = np.where(colour * U[k] + W[k] < self.observed[k], lower, 0)
         return precision
 
@@ -248,10 +248,10 @@ class Photos:
         """What the regions' mean colours leave over, y - mu U - W, (n, 3)."""
         return self.observed - theta.mu[self.row_region] * U - W
 
-    def sums(self, U, W, theta: Theta, precision: np.ndarray, share=None) -> tuple[np.ndarray, np.ndarray]:
+    def sums(self, U, rest: np.ndarray, precision: np.ndarray, share=None) -> tuple[np.ndarray, np.ndarray]:
         """Per point and channel: sum w U^2 and sum w U r over kappa, with w `precision` and r the `rest`; (p, 3) each."""
         wU, share = precision * U, self.share if share is None else share
-        return self.thinned(wU * U, share), self.thinned(wU * self.rest(U, W, theta), share)
+        return self.thinned(wU * U, share), self.thinned(wU * rest, share)
 
     def thinned(self, rows: np.ndarray, share) -> np.ndarray:
         """`per_point` of rows (n, 3), over kappa and with the points' shares."""
@@ -262,8 +262,8 @@ class Photos:
         none gains by falling silent.
         """
         v = self.variance(theta)
-        precision = self.counted(U, W, theta)
-        (q, g), s = self.sums(U, W, theta, precision), self.thinned(precision * self.rest(U, W, theta) ** 2, self.share)
+        precision, rest = self.counted(U, W, theta), self.rest(U, W, theta)
+        (q, g), s = self.sums(U, rest, precision), self.thinned(precision * rest**2, self.share)
         all_q = self.thinned(self.precision * U * U, self.share) if self.clipped.any() else q
         possible = log_possible(*self.colours(q, g, theta), self.ceiling) - log_possible(theta.mu[self.region], v, self.ceiling)
         return (-0.5 * (s - v * g * g / (1 + v * q)) - 0.5 * np.log1p(v * all_q) + possible).sum(1)
@@ -314,7 +314,7 @@ class Photos:
 
     def draw_colour(self, U, W, theta: Theta, rng) -> np.ndarray:
         """Base colour of every point (p, 3) given everything else, within [0, ceiling]."""
-        mean, variance = self.colours(*self.sums(U, W, theta, self.counted(U, W, theta), 1.0), theta)
+        mean, variance = self.colours(*self.sums(U, self.rest(U, W, theta), self.counted(U, W, theta), 1.0), theta)
         deviation = np.sqrt(variance)
         low, high = (stats.norm.cdf((edge - mean) / deviation) for edge in (0.0, self.ceiling))
         inside = stats.norm.ppf(np.clip(low + rng.random(low.shape) * (high - low), 1e-9, 1 - 1e-9))

@@ -38,7 +38,7 @@ NODES = 0.5                 # radiosity nodes beside the points, as a share of t
 
 
 def start_materials(fit: Explanation, uv: np.ndarray, region: np.ndarray, starts: np.ndarray, lobes: Lobes) -> Theta:
-    """Region medians of the fit's maps, as metallic as can be."""
+    """Region medians of the fit's maps, no more metallic than their roughness can be."""
     at = uv[starts]
     values = {n: gather(np.ascontiguousarray(getattr(fit, n)), at).reshape(len(at), -1) for n in ("base_color", "roughness", "metallic")}
     count = region.max() + 1
