@@ -1,11 +1,13 @@
 """Mesh and cameras against truth: F-score, Chamfer distance, camera errors.
 
 python -m benchmarks.geometry --mesh work/garden/mesh/mesh.ply --cameras work/garden/poses/cameras.json \\
-    --truth examples/garden/truth/mesh.ply --truth-cameras examples/garden/truth/transforms_truth.json --above 0.004
+    --truth examples/garden/truth/mesh.ply --truth-cameras
+    examples/garden/truth/transforms_truth.json --above 0.004
 
-The reconstruction is brought into the truth's frame by the similarity between camera centres (Umeyama 1991), then by a
-few steps of ICP on mutually near points, because poses and surface may differ by a small rigid motion. `--above` leaves
-out truth surface below that height: the underside, which no photo shows.
+The reconstruction is brought into the truth's frame by the similarity between camera centres
+(Umeyama 1991), then by a few steps of ICP on mutually near points, because poses and surface may
+differ by a small rigid motion. `--above` leaves out truth surface below that height: the underside,
+which no photo shows.
 """
 
 from __future__ import annotations
@@ -17,8 +19,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pipeline.cameras import load_cameras
-from pipeline.mesh_io import Mesh, load_mesh, sample_surface
+from pipeline.geometry.cameras import load_cameras
+from pipeline.geometry.mesh_io import Mesh, load_mesh, sample_surface
 
 
 def umeyama(a: np.ndarray, b: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -41,11 +43,14 @@ def even(count: int) -> np.ndarray:
 def outer(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     """Points not buried inside another part: some direction of 64 leaves the mesh unhindered."""
     from pipeline.surface.preview import caster
+
     scene, o3d = caster(mesh)
     free = np.zeros(len(points), bool)
     size = np.linalg.norm(np.ptp(mesh.vertices, axis=0))
     for d in even(64):
-        rays = np.concatenate([points + 1e-3 * size * d, np.broadcast_to(d, points.shape)], 1).astype(np.float32)
+        rays = np.concatenate(
+            [points + 1e-3 * size * d, np.broadcast_to(d, points.shape)], 1
+        ).astype(np.float32)
         free |= ~np.isfinite(scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy())
     return free
 
@@ -62,7 +67,9 @@ def icp(a: np.ndarray, b: np.ndarray, limit: float, steps: int = 20) -> np.ndarr
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     for name in ("mesh", "cameras", "truth", "truth-cameras"):
         parser.add_argument(f"--{name}", type=Path, required=True)
     parser.add_argument("--above", type=float, default=-1e9)
@@ -77,17 +84,36 @@ def main() -> None:
     a = s * sample_surface(mesh, args.points, rng)[0] @ r.T + t
     b = sample_surface(truth, 2 * args.points, rng)[0]
     b = b[outer(truth, b)]
-    diagonal, size = np.linalg.norm(np.ptp(truth.vertices, axis=0)), np.ptp(truth.vertices, axis=0).max()
+    diagonal, size = (
+        np.linalg.norm(np.ptp(truth.vertices, axis=0)),
+        np.ptp(truth.vertices, axis=0).max(),
+    )
     a = icp(a, b, 0.02 * diagonal)
     a, b = a[a[:, 1] > args.above], b[b[:, 1] > args.above]
     accuracy, completeness = cKDTree(b).query(a)[0], cKDTree(a).query(b)[0]
-    score = lambda at: 2 / (1 / max((accuracy < at).mean(), 1e-9) + 1 / max((completeness < at).mean(), 1e-9))
-    print(json.dumps({"f1_at_1_percent_of_size": score(0.01 * size), "f1_at_half_percent": score(0.005 * size),
-                      "chamfer_percent_of_diagonal": 50 * (accuracy.mean() + completeness.mean()) / diagonal,
-                      "accuracy_median_percent": 100 * float(np.median(accuracy)) / size,
-                      "precision_1": float((accuracy < 0.01 * size).mean()), "recall_1": float((completeness < 0.01 * size).mean()),
-                      "camera_error_median_percent": 100 * float(np.median(np.linalg.norm(s * ours @ r.T + t - theirs, axis=1))) / size,
-                      "scale": s, "size": size}, default=float))
+    score = lambda at: (
+        2 / (1 / max((accuracy < at).mean(), 1e-9) + 1 / max((completeness < at).mean(), 1e-9))
+    )
+    print(
+        json.dumps(
+            {
+                "f1_at_1_percent_of_size": score(0.01 * size),
+                "f1_at_half_percent": score(0.005 * size),
+                "chamfer_percent_of_diagonal": 50
+                * (accuracy.mean() + completeness.mean())
+                / diagonal,
+                "accuracy_median_percent": 100 * float(np.median(accuracy)) / size,
+                "precision_1": float((accuracy < 0.01 * size).mean()),
+                "recall_1": float((completeness < 0.01 * size).mean()),
+                "camera_error_median_percent": 100
+                * float(np.median(np.linalg.norm(s * ours @ r.T + t - theirs, axis=1)))
+                / size,
+                "scale": s,
+                "size": size,
+            },
+            default=float,
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 python -m benchmarks.lights --data RUN/data.npz --out lights.json
 
-RUN/data.npz is made by pipeline.prior.train. Per statistic: 10th, 50th and 90th percentile over maps, measured | made.
+RUN/data.npz is made by pipeline.prior.training.train. Per statistic: 10th, 50th and 90th percentile
+over maps, measured | made.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.envmap import resample_area, solid_angles
-from pipeline.files import write_json
-from pipeline.prior.data import Data, radiance
+from pipeline.base.files import write_json
 from pipeline.prior.network import LABELS
+from pipeline.prior.training.data import Data, radiance
+from pipeline.render.envmap import resample_area, solid_angles
 
 
 def statistics(env: np.ndarray) -> dict:
@@ -30,16 +31,23 @@ def statistics(env: np.ndarray) -> dict:
     power = (np.abs(np.fft.rfft(log, axis=1)) ** 2 * weight[:, :1]).sum(0)
     k = np.arange(2, w // 4)
     ratio = np.log(np.maximum(env[..., 0], 1e-6) / np.maximum(env[..., 2], 1e-6))
-    return {"peak: log p99.9 / median": np.percentile(log, 99.9) - np.median(log), "max: log max / median": log.max() - np.median(log),
-            "contrast: deviation of log": log.std(), "energy share of the brightest 0.2 %": share[np.searchsorted(area, 0.002)],
-            "chroma: deviation of log R/B": ratio.std(), "tint: mean of log R/B": ratio.mean(),
-            "spectrum: slope over longitude": np.polyfit(np.log(k), np.log(power[k]), 1)[0],
-            "up - down: difference of mean log": log[:h // 2].mean() - log[h // 2:].mean(),
-            "rough: mean step between columns": np.abs(np.diff(log, axis=1)).mean()}
+    return {
+        "peak: log p99.9 / median": np.percentile(log, 99.9) - np.median(log),
+        "max: log max / median": log.max() - np.median(log),
+        "contrast: deviation of log": log.std(),
+        "energy share of the brightest 0.2 %": share[np.searchsorted(area, 0.002)],
+        "chroma: deviation of log R/B": ratio.std(),
+        "tint: mean of log R/B": ratio.mean(),
+        "spectrum: slope over longitude": np.polyfit(np.log(k), np.log(power[k]), 1)[0],
+        "up - down: difference of mean log": log[: h // 2].mean() - log[h // 2 :].mean(),
+        "rough: mean step between columns": np.abs(np.diff(log, axis=1)).mean(),
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--height", type=int, default=64)
     parser.add_argument("--out", type=Path)
@@ -49,14 +57,24 @@ def main() -> None:
         rows = {}
         for name, mark in (("measured", False), ("made", True)):
             maps = data.maps[(data.labels == index) & (data.made == mark) & ~data.held][:300]
-            rows[name] = [statistics(resample_area(radiance(m), args.height, 2 * args.height)) for m in maps]
+            rows[name] = [
+                statistics(resample_area(radiance(m), args.height, 2 * args.height)) for m in maps
+            ]
         if not all(rows.values()):
             continue
         print(f"{label}: {len(rows['measured'])} measured, {len(rows['made'])} made")
-        table[label] = {key: {name: np.percentile([r[key] for r in values], [10, 50, 90]) for name, values in rows.items()}
-                        for key in rows["measured"][0]}
+        table[label] = {
+            key: {
+                name: np.percentile([r[key] for r in values], [10, 50, 90])
+                for name, values in rows.items()
+            }
+            for key in rows["measured"][0]
+        }
         for key, pair in table[label].items():
-            print(f"  {key:40s} " + " | ".join(" ".join(f"{v:6.2f}" for v in values) for values in pair.values()))
+            print(
+                f"  {key:40s} "
+                + " | ".join(" ".join(f"{v:6.2f}" for v in values) for values in pair.values())
+            )
     if args.out:
         write_json(args.out, table)
 

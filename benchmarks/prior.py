@@ -1,17 +1,23 @@
-"""Judge light priors against measured maps: Fréchet distance, memorisation, seam, yaw, histograms, losses, times; sample sheets.
+"""Judge light priors against measured maps: Fréchet distance, memorisation, seam, yaw, histograms,
+losses, times; sample sheets.
 
 python -m benchmarks.prior --data RUN/data.npz --priors prior_base gaussian_base --reni reni.npz --out prior.json --sheets FOLDER
 python -m benchmarks.prior ... --others MAPS --catalogue CSV --licence "not stated"     more maps that no prior was trained on
 
-RUN/data.npz is made by pipeline.prior.train, reni.npz by benchmarks.reni. Feature space of the Fréchet distance (Heusel et al.
-2017, with features anyone can recompute): of every map's log code,
-  appearance: the mean of each opponent colour channel in 4 latitude bands, the log power of each channel in 4 bands of
-    longitudinal frequency, and the percentiles 1, 25, 75, 99 and 99.9 of log luminance over its median; 29 numbers;
-  structure: of log luminance's differences across and down at 4 scales, their mean size, their sparseness E d^2 / (E |d|)^2
-    (Huang and Mumford 1999), the skewness of those down, and the correlations of sizes between the two directions and
-    between neighbouring scales (Portilla and Simoncelli 2000); 30 numbers;
-none changed by yaw, in units of the training maps' deviation. The floor is the distance between maps held out and maps trained
-on; `halves` the distance between two halves of the training maps, which shows how much of it is the small number of maps.
+RUN/data.npz is made by pipeline.prior.training.train, reni.npz by benchmarks.reni. Feature space of
+the Fréchet distance (Heusel et al. 2017, with features anyone can recompute): of every map's log
+code,
+  appearance: the mean of each opponent colour channel in 4 latitude bands, the log power of each
+  channel in 4 bands of
+    longitudinal frequency, and the percentiles 1, 25, 75, 99 and 99.9 of log luminance over its
+    median; 29 numbers;
+  structure: of log luminance's differences across and down at 4 scales, their mean size, their
+  sparseness E d^2 / (E |d|)^2
+    (Huang and Mumford 1999), the skewness of those down, and the correlations of sizes between the
+    two directions and between neighbouring scales (Portilla and Simoncelli 2000); 30 numbers;
+none changed by yaw, in units of the training maps' deviation. The floor is the distance between
+maps held out and maps trained on; `halves` the distance between two halves of the training maps,
+which shows how much of it is the small number of maps.
 """
 
 from __future__ import annotations
@@ -30,23 +36,23 @@ from scipy import linalg, stats
 from scipy.ndimage import uniform_filter
 
 from benchmarks.lights import statistics
-from pipeline.envmap import resample_area, solid_angles
-from pipeline.files import write_json
-from pipeline.images import write_png
-from pipeline.prior import load_prior
-from pipeline.prior.code import to_log
-from pipeline.prior.data import Data, scale_free
+from pipeline.base.files import write_json
+from pipeline.base.images import write_png
+from pipeline.base.progress import progress
+from pipeline.base.runtime import set_threads
 from pipeline.prior.gaussian import OPPONENT, GaussianPrior
+from pipeline.prior.load import load_prior
 from pipeline.prior.network import LABELS
 from pipeline.prior.sampling import draw, lights, sheet
-from pipeline.prior.settings import Training
-from pipeline.prior.sources import find_sources, read_source
-from pipeline.prior.train import fixed_loss, row_weights
-from pipeline.progress import progress
-from pipeline.runtime import set_threads
+from pipeline.prior.training.data import Data, scale_free
+from pipeline.prior.training.settings import Training
+from pipeline.prior.training.sources import find_sources, read_source
+from pipeline.prior.training.train import fixed_loss, row_weights
+from pipeline.prior.value_code import to_log
+from pipeline.render.envmap import resample_area, solid_angles
 
-APPEARANCE = 29         # features of the first kind
-SHRINK = 0.1            # of every covariance towards its diagonal: there are few measured maps
+APPEARANCE = 29  # features of the first kind
+SHRINK = 0.1  # of every covariance towards its diagonal: there are few measured maps
 
 
 def appearance(x: np.ndarray) -> np.ndarray:
@@ -56,21 +62,35 @@ def appearance(x: np.ndarray) -> np.ndarray:
     power = np.abs(np.fft.rfft(x, axis=-1)) ** 2
     weight = solid_angles(h, w)[:, :1]
     edges = [1, 2, 4, 10, w // 2 + 1]
-    spectrum = np.stack([(power[..., a:b].sum(-1) * weight[:, 0]).sum(-1) for a, b in zip(edges, edges[1:])], -1).reshape(n, -1)
+    spectrum = np.stack(
+        [(power[..., a:b].sum(-1) * weight[:, 0]).sum(-1) for a, b in zip(edges, edges[1:])], -1
+    ).reshape(n, -1)
     level = np.percentile(x[:, 0].reshape(n, -1), [1, 25, 50, 75, 99, 99.9], axis=1).T
-    return np.concatenate([bands, np.log(spectrum + 1e-6), np.delete(level - level[:, 2:3], 2, 1)], 1)
+    return np.concatenate(
+        [bands, np.log(spectrum + 1e-6), np.delete(level - level[:, 2:3], 2, 1)], 1
+    )
 
 
 def structure(x: np.ndarray) -> np.ndarray:
-    """(n, 30) of log luminance (n, h, w): how its edges are made, which no Gaussian field can imitate."""
+    """(n, 30) of log luminance (n, h, w): how its edges are made, which no Gaussian field can
+    imitate.
+    """
     h, out, finer = x.shape[1], [], None
     rows = h - h // 8
-    pair = lambda a, b: [np.corrcoef(u.ravel(), v.ravel())[0, 1] for u, v in zip(np.abs(a), np.abs(b))]
+    pair = lambda a, b: [
+        np.corrcoef(u.ravel(), v.ravel())[0, 1] for u, v in zip(np.abs(a), np.abs(b))
+    ]
     for s in (h // 64, h // 32, h // 16, h // 8) if h >= 64 else (1, 2, 3, 4):
         smooth = uniform_filter(x, (0, s, s), mode=("nearest", "nearest", "wrap"))
-        edges = [(np.roll(smooth, -s, 2) - smooth)[:, :rows], smooth[:, s:s + rows] - smooth[:, :rows]]      # across, down
+        edges = [
+            (np.roll(smooth, -s, 2) - smooth)[:, :rows],
+            smooth[:, s : s + rows] - smooth[:, :rows],
+        ]  # across, down
         for d in edges:
-            out += [np.log(np.abs(d).mean((1, 2)) + 1e-6), np.log((d**2).mean((1, 2)) / np.abs(d).mean((1, 2)) ** 2)]
+            out += [
+                np.log(np.abs(d).mean((1, 2)) + 1e-6),
+                np.log((d**2).mean((1, 2)) / np.abs(d).mean((1, 2)) ** 2),
+            ]
         out += [(edges[1] ** 3).mean((1, 2)) / (edges[1] ** 2).mean((1, 2)) ** 1.5, pair(*edges)]
         out += [pair(a, b) for a, b in zip(finer, edges)] if finer else []
         finer = edges
@@ -85,15 +105,19 @@ def features(codes: np.ndarray) -> np.ndarray:
 
 def frechet(a: np.ndarray, b: np.ndarray) -> float:
     """Distance between normal distributions fitted to features (n, d) and (m, d)."""
+
     def moments(f):
         cov = np.cov(f.T)
         return f.mean(0), (1 - SHRINK) * cov + SHRINK * np.diag(np.diag(cov))
+
     (ma, ca), (mb, cb) = moments(a), moments(b)
     return float(((ma - mb) ** 2).sum() + np.trace(ca + cb - 2 * np.real(linalg.sqrtm(ca @ cb))))
 
 
 def nearest(codes: np.ndarray, bank: np.ndarray) -> np.ndarray:
-    """RMS distance (n,) of each code to the nearest of the bank over all yaws and mirrors, solid-angle weighted."""
+    """RMS distance (n,) of each code to the nearest of the bank over all yaws and mirrors,
+    solid-angle weighted.
+    """
     h, w = codes.shape[-2:]
     root = np.sqrt(solid_angles(h, w) / (4 * np.pi) / 3)
     f = lambda x: np.fft.rfft(x * root, axis=-1)
@@ -118,7 +142,13 @@ def yaw_error(prior, codes: np.ndarray) -> dict:
     with torch.no_grad():
         plain = prior.denoise(x, 1.0)
         size = float(plain.std())
-        return {k: float((prior.denoise(x.roll(k, -1), 1.0).roll(-k, -1) - plain).square().mean().sqrt()) / size for k in (1, 2, 4, 8)}
+        return {
+            k: float(
+                (prior.denoise(x.roll(k, -1), 1.0).roll(-k, -1) - plain).square().mean().sqrt()
+            )
+            / size
+            for k in (1, 2, 4, 8)
+        }
 
 
 def seconds(action, repeats: int) -> float:
@@ -142,33 +172,58 @@ def times(prior, steps: int) -> dict:
 
 
 def histograms(prior_lights: np.ndarray, measured: np.ndarray) -> dict:
-    """Per statistic of benchmarks.lights: Kolmogorov-Smirnov distance, and the quartiles of samples and of measured maps."""
+    """Per statistic of benchmarks.lights: Kolmogorov-Smirnov distance, and the quartiles of samples
+    and of measured maps.
+    """
     tables = [[statistics(m) for m in maps] for maps in (prior_lights, measured)]
     out = {}
     for key in tables[0][0]:
         a, b = ([row[key] for row in table] for table in tables)
-        out[key] = {"ks": float(stats.ks_2samp(a, b)[0]), "samples": np.percentile(a, [10, 50, 90]),
-                    "measured": np.percentile(b, [10, 50, 90])}
+        out[key] = {
+            "ks": float(stats.ks_2samp(a, b)[0]),
+            "samples": np.percentile(a, [10, 50, 90]),
+            "measured": np.percentile(b, [10, 50, 90]),
+        }
     return out
 
 
 def distances(a: np.ndarray, b: np.ndarray) -> dict:
-    """Fréchet distance of features a (n, 59) from those b of known maps, in either half of the space and in the whole."""
+    """Fréchet distance of features a (n, 59) from those b of known maps, in either half of the
+    space and in the whole.
+    """
     a, b, n = a / (b.std(0) + 1e-9), b / (b.std(0) + 1e-9), APPEARANCE
-    return {"all": frechet(a, b), "appearance": frechet(a[:, :n], b[:, :n]), "structure": frechet(a[:, n:], b[:, n:])}
+    return {
+        "all": frechet(a, b),
+        "appearance": frechet(a[:, :n], b[:, :n]),
+        "structure": frechet(a[:, n:], b[:, n:]),
+    }
 
 
-def judged(codes: np.ndarray, spread: float, mean: float, known: np.ndarray, held: np.ndarray, unseen: np.ndarray) -> dict:
-    """Everything that needs samples only: codes (n, 3, h, w) beside those of maps known, held out, and unseen (held out or other)."""
+def judged(
+    codes: np.ndarray,
+    spread: float,
+    mean: float,
+    known: np.ndarray,
+    held: np.ndarray,
+    unseen: np.ndarray,
+) -> dict:
+    """Everything that needs samples only: codes (n, 3, h, w) beside those of maps known, held out,
+    and unseen (held out or other).
+    """
     radiance = lambda x: np.exp(x * spread + mean).transpose(0, 2, 3, 1)
     order = np.random.default_rng(0).permutation(len(known))
     f, half = features(known), np.array_split(order, 2)
     near, near_held, near_unseen = (np.median(nearest(x, known)) for x in (codes, held, unseen))
-    return {"frechet": distances(features(codes), f), "frechet_held_out": distances(features(held), f),
-            "frechet_unseen": distances(features(unseen), f), "frechet_halves": distances(f[half[0]], f[half[1]]),
-            "nearest_ratio": {"held_out": near / near_held, "unseen": near / near_unseen},
-            "seam": seam(codes), "seam_data": seam(known),
-            "statistics": histograms(radiance(codes), radiance(np.concatenate([known, unseen])))}
+    return {
+        "frechet": distances(features(codes), f),
+        "frechet_held_out": distances(features(held), f),
+        "frechet_unseen": distances(features(unseen), f),
+        "frechet_halves": distances(f[half[0]], f[half[1]]),
+        "nearest_ratio": {"held_out": near / near_held, "unseen": near / near_unseen},
+        "seam": seam(codes),
+        "seam_data": seam(known),
+        "statistics": histograms(radiance(codes), radiance(np.concatenate([known, unseen]))),
+    }
 
 
 def all_unseen(data: Data, others: list[np.ndarray]) -> np.ndarray:
@@ -177,7 +232,9 @@ def all_unseen(data: Data, others: list[np.ndarray]) -> np.ndarray:
     return np.concatenate([data.measured(True)] + ([data.codes(np.stack(logs))] if logs else []))
 
 
-def judge(name: str, data: Data, others: list[np.ndarray], count: int, steps: int, folder: Path | None) -> dict:
+def judge(
+    name: str, data: Data, others: list[np.ndarray], count: int, steps: int, folder: Path | None
+) -> dict:
     """A row of the table for the prior called `name`, in that prior's own value code."""
     prior, start = load_prior(name), time.monotonic()
     data = replace(data, height=prior.height, mean=prior.code.mean, std=prior.code.std)
@@ -194,13 +251,19 @@ def judge(name: str, data: Data, others: list[np.ndarray], count: int, steps: in
     out["yaw_error"], out["seconds"] = yaw_error(prior, known), times(prior, steps)
     if folder:
         for label in [None] if isinstance(prior, GaussianPrior) else [None, *LABELS]:
-            maps = lights(prior, codes[:64]) if label is None else lights(prior, draw(prior, 64, steps, 7, label))
+            maps = (
+                lights(prior, codes[:64])
+                if label is None
+                else lights(prior, draw(prior, 64, steps, 7, label))
+            )
             write_png(folder / f"{name}_{label or 'all'}.png", sheet(maps))
     return out | {"judged_in_seconds": time.monotonic() - start}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--priors", nargs="+", default=["prior_small"])
     parser.add_argument("--reni", type=Path, help="samples of benchmarks.reni")
@@ -214,7 +277,11 @@ def main() -> None:
     args = parser.parse_args()
     data = Data.load(args.data, 64)
     sources = find_sources(args.others, args.catalogue, args.licence) if args.others else []
-    others = [read_source(s.path) for s in progress(sources, "other maps") if not s.expanded] if sources else []
+    others = (
+        [read_source(s.path) for s in progress(sources, "other maps") if not s.expanded]
+        if sources
+        else []
+    )
     rows = []
     for name in args.priors:
         rows.append(judge(name, data, others, args.samples, args.steps, args.sheets))
@@ -222,11 +289,22 @@ def main() -> None:
     if args.reni:
         codes = np.load(args.reni)["codes"]
         data = Data.load(args.data, codes.shape[2])
-        rows.append({"prior": "RENI-like", "samples": len(codes)}
-                    | judged(codes, 2 * data.std, data.mean, data.measured(False), data.measured(True), all_unseen(data, others)))
+        rows.append(
+            {"prior": "RENI-like", "samples": len(codes)}
+            | judged(
+                codes,
+                2 * data.std,
+                data.mean,
+                data.measured(False),
+                data.measured(True),
+                all_unseen(data, others),
+            )
+        )
         print(json.dumps(rows[-1], indent=1, default=lambda v: np.round(v, 3).tolist()), flush=True)
     if args.out:
-        write_json(args.out, {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows})
+        write_json(
+            args.out, {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows}
+        )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,12 @@
-"""A RENI-like prior as a yardstick: a yaw-equivariant conditional neural field, trained as a variational auto-decoder.
+"""A RENI-like prior as a yardstick: a yaw-equivariant conditional neural field, trained as a
+variational auto-decoder.
 
 python -m benchmarks.reni --data RUN/data.npz --height 64 --minutes 10 --out reni.npz
 
-After Gardner et al. 2022 (RENI), 2023 (RENI++), in our value code: a light is a matrix of K latent vectors; radiance in direction d is
-an MLP of what no yaw changes, the products of the latents' and d's horizontal parts, the latents' heights and norms, and d's height.
-Latents are fitted per map with a Kullback-Leibler term towards N(0, I); samples decode draws of N(0, I). Writes `codes`.
+After Gardner et al. 2022 (RENI), 2023 (RENI++), in our value code: a light is a matrix of K latent
+vectors; radiance in direction d is an MLP of what no yaw changes, the products of the latents' and
+d's horizontal parts, the latents' heights and norms, and d's height. Latents are fitted per map
+with a Kullback-Leibler term towards N(0, I); samples decode draws of N(0, I). Writes `codes`.
 """
 
 from __future__ import annotations
@@ -17,13 +19,13 @@ import numpy as np
 import torch
 from torch import nn
 
-from pipeline.envmap import directions, solid_angles
-from pipeline.errors import run_stage
-from pipeline.files import atomic_path
-from pipeline.prior.data import Data
+from pipeline.base.errors import run_stage
+from pipeline.base.files import atomic_path
+from pipeline.prior.training.data import Data
+from pipeline.render.envmap import directions, solid_angles
 
 LATENTS, HIDDEN, LAYERS, PIXELS, MAPS = 36, 192, 5, 512, 24
-KL_WEIGHT = 1e-4        # RENI's own
+KL_WEIGHT = 1e-4  # RENI's own
 
 
 class Field(nn.Module):
@@ -42,7 +44,11 @@ class Field(nn.Module):
         x = torch.cat([facing, fixed, d[..., 1:2], d[..., [0, 2]].norm(dim=-1, keepdim=True)], -1)
         for k, layer in enumerate(self.layers):
             h = layer(x)
-            x = torch.sin(30 / 2**4 * h) if k == 0 else torch.nn.functional.silu(h) + (x if k > 1 else 0)
+            x = (
+                torch.sin(30 / 2**4 * h)
+                if k == 0
+                else torch.nn.functional.silu(h) + (x if k > 1 else 0)
+            )
         return self.leave(x)
 
 
@@ -52,8 +58,14 @@ def fit(codes: np.ndarray, minutes: float, seed: int = 0) -> tuple[Field, torch.
     rng, (n, _, h, w) = np.random.default_rng(seed), codes.shape
     d, weight = directions(h, w).reshape(-1, 3), solid_angles(h, w).ravel()
     values = torch.from_numpy(codes.reshape(n, 3, -1).transpose(0, 2, 1).copy())
-    field, mean, log_deviation = Field(), nn.Parameter(0.1 * torch.randn(n, LATENTS, 3)), nn.Parameter(torch.full((n, LATENTS, 3), -2.0))
-    optimizer = torch.optim.Adam([{"params": field.parameters(), "lr": 1e-3}, {"params": [mean, log_deviation], "lr": 1e-2}])
+    field, mean, log_deviation = (
+        Field(),
+        nn.Parameter(0.1 * torch.randn(n, LATENTS, 3)),
+        nn.Parameter(torch.full((n, LATENTS, 3), -2.0)),
+    )
+    optimizer = torch.optim.Adam(
+        [{"params": field.parameters(), "lr": 1e-3}, {"params": [mean, log_deviation], "lr": 1e-2}]
+    )
     start = time.monotonic()
     while (spent := (time.monotonic() - start) / 60) < minutes:
         for group, rate in zip(optimizer.param_groups, (1e-3, 1e-2)):
@@ -68,12 +80,16 @@ def fit(codes: np.ndarray, minutes: float, seed: int = 0) -> tuple[Field, torch.
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
-    print(f"loss {loss.item():.4f}, KL per number {kl.item():.3f}, latent deviation {mean.std().item():.2f}")
+    print(
+        f"loss {loss.item():.4f}, KL per number {kl.item():.3f}, latent deviation {mean.std().item():.2f}"
+    )
     return field, mean.detach()
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--height", type=int, default=64)
     parser.add_argument("--minutes", type=float, default=10)
@@ -86,7 +102,9 @@ def main() -> None:
         d = torch.from_numpy(directions(args.height, 2 * args.height).reshape(1, -1, 3)).float()
         codes = torch.cat([field(torch.randn(1, LATENTS, 3), d) for _ in range(args.count)])
     with atomic_path(args.out) as temporary, open(temporary, "wb") as file:
-        np.savez(file, codes=codes.reshape(args.count, args.height, -1, 3).permute(0, 3, 1, 2).numpy())
+        np.savez(
+            file, codes=codes.reshape(args.count, args.height, -1, 3).permute(0, 3, 1, 2).numpy()
+        )
 
 
 if __name__ == "__main__":

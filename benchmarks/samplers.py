@@ -2,15 +2,17 @@
 
 python -m benchmarks.samplers --scene boombox FOLDER --methods split_gibbs dpi_paper --samples 2 --out rows.json
 
-FOLDER is a scene rendered by the project's scene maker (images/, transforms*.json, mesh.ply, truth/ with a relight); work/<scene>
-holds its stages up to `fit` (benchmarks.pairs makes both). One process, one thread per sampler as in the
-sample stage; every draw is refined with refine.steps = 0 (base colour only), so that the methods' own roughness and
-metallic are judged. Per method: seconds per draw; light PSNR of the draws and of their mean (log radiance, one common
-scale removed; a draw's error is up to 3 dB above the mean's, where the spread is right); PSNR of held-out views inside the
-mask, of the draws and of their mean picture; base colour error (RMS over held-out views, raw and after one factor per
-channel); PSNR of held-out views under another light; and, for 3 draws or more, how often the draws' intervals hold the truth
-(`unknowns`). A folder whose cameras are not given, or without truth/, has seconds and held-out views only.
-Set OMP_NUM_THREADS=1 as the workflow does.
+FOLDER is a scene rendered by the project's scene maker (images/, transforms*.json, mesh.ply, truth/
+with a relight); work/<scene> holds its stages up to `fit` (benchmarks.pairs makes both). One
+process, one thread per sampler as in the sample stage; every draw is refined with refine.steps = 0
+(base colour only), so that the methods' own roughness and metallic are judged. Per method: seconds
+per draw; light PSNR of the draws and of their mean (log radiance, one common scale removed; a
+draw's error is up to 3 dB above the mean's, where the spread is right); PSNR of held-out views
+inside the mask, of the draws and of their mean picture; base colour error (RMS over held-out views,
+raw and after one factor per channel); PSNR of held-out views under another light; and, for 3 draws
+or more, how often the draws' intervals hold the truth (`unknowns`). A folder whose cameras are not
+given, or without truth/, has seconds and held-out views only. Set OMP_NUM_THREADS=1 as the workflow
+does.
 """
 
 from __future__ import annotations
@@ -28,23 +30,24 @@ import cv2
 import numpy as np
 from scipy import stats
 
-from pipeline.config import parse_scene
-from pipeline.envmap import resample_area, sh_coefficients
-from pipeline.files import write_json
-from pipeline.images import read_exr
-from pipeline.metrics import held_out_photos, light_psnr, psnr, render_twice, view_rays
-from pipeline.observe import Tracer
-from pipeline.optics import Explanation
-from pipeline.posterior import SAMPLERS
+from pipeline.base.config import parse_scene
+from pipeline.base.files import write_json
+from pipeline.base.images import read_exr
+from pipeline.base.runtime import set_threads
 from pipeline.posterior.load import load_problem
-from pipeline.posterior.refine import COARSE, gather, refine
-from pipeline.posterior.regions import group
-from pipeline.prior import load_prior
-from pipeline.runtime import set_threads
-from pipeline.stage import overrides
+from pipeline.posterior.refine import COARSE, refine
+from pipeline.posterior.samplers import SAMPLERS
+from pipeline.posterior.split_gibbs.regions import group
+from pipeline.posterior.textures import gather
+from pipeline.prior.load import load_prior
+from pipeline.render.envmap import resample_area, sh_coefficients
+from pipeline.render.metrics import held_out_photos, light_psnr, psnr, render_twice, view_rays
+from pipeline.render.observe import Tracer
+from pipeline.render.renderer import Explanation
+from pipeline.run.stage import overrides
 
-RELIT, RELIT_SPP = 200, 512     # pixels per held-out view, and paths for each
-AT_ONCE = 64                    # of those paths in one pass
+RELIT, RELIT_SPP = 200, 512  # pixels per held-out view, and paths for each
+AT_ONCE = 64  # of those paths in one pass
 HELD_OUT_SPP = 64
 
 
@@ -55,12 +58,16 @@ def aligned_rms(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
 
 
 class Truth:
-    """What is known of a rendered scene, at fixed pixels of its held-out views: base colour, another light's picture, the light."""
+    """What is known of a rendered scene, at fixed pixels of its held-out views: base colour,
+    another light's picture, the light.
+    """
 
     def __init__(self, folder: Path, problem, mesh: Path, light_rows: int):
         self.light = resample_area(read_exr(folder / "envmap.exr"), light_rows, 2 * light_rows)
         self.uv, self.colours = self._colours(folder, problem.observations.held_out, Tracer(mesh))
-        other = next(f for f in sorted((folder / "relight").glob("*.exr")) if f.with_suffix("").is_dir())
+        other = next(
+            f for f in sorted((folder / "relight").glob("*.exr")) if f.with_suffix("").is_dir()
+        )
         self.other_light, self.pixels, self.relit = read_exr(other), [], []
         for view in problem.observations.held_out:
             picture = read_exr(other.with_suffix("") / f"{view.name}.exr")
@@ -76,43 +83,75 @@ class Truth:
         where, values = [], []
         for view in views:
             picture = read_exr(folder / "albedo" / f"{view.name}.exr")
-            rows, columns = np.mgrid[0:view.height:2, 0:view.width:2].reshape(2, -1)
+            rows, columns = np.mgrid[0 : view.height : 2, 0 : view.width : 2].reshape(2, -1)
             uv, _, hit = tracer.hit(*view.rays(np.stack([columns + 0.5, rows + 0.5], -1)))
-            value = picture[tuple((v * n / m).astype(int) for v, n, m in ((rows, len(picture), view.height), (columns, picture.shape[1], view.width)))]
+            value = picture[
+                tuple(
+                    (v * n / m).astype(int)
+                    for v, n, m in (
+                        (rows, len(picture), view.height),
+                        (columns, picture.shape[1], view.width),
+                    )
+                )
+            ]
             hit &= value.max(-1) > 0
             where.append(uv[hit])
             values.append(value[hit])
         return np.concatenate(where), np.concatenate(values)
 
     def relit_by(self, x: Explanation, renderer) -> np.ndarray:
-        """Radiance of the same pixels under the other light, of `x`; twice, with independent noise (2, n, 3)."""
-        renderer.set(replace(x, light=resample_area(self.other_light, *renderer.light_shape[:2]).astype(np.float32)))
+        """Radiance of the same pixels under the other light, of `x`; twice, with independent noise
+        (2, n, 3).
+        """
+        renderer.set(
+            replace(
+                x,
+                light=resample_area(self.other_light, *renderer.light_shape[:2]).astype(np.float32),
+            )
+        )
         many = lambda view, at: view_rays(view, np.repeat(at, AT_ONCE, 0))
-        once = lambda seed: np.concatenate([renderer.mean_radiance(many(view, at), RELIT_SPP // 2 // AT_ONCE, seed) for view, at in self.pixels])
+        once = lambda seed: np.concatenate(
+            [
+                renderer.mean_radiance(many(view, at), RELIT_SPP // 2 // AT_ONCE, seed)
+                for view, at in self.pixels
+            ]
+        )
         return np.stack([once(seed).reshape(-1, AT_ONCE, 3).mean(1) for seed in (0, 1)])
 
     def unknowns(self, light: np.ndarray, colours: np.ndarray, relit_pixels: np.ndarray) -> dict:
-        """What intervals are drawn about: SH coefficients of the light (order 2) raw and over its mean, mean base colour of
-        the regions of like true colour raw and over the mean of all, relit pixels.
+        """What intervals are drawn about: SH coefficients of the light (order 2) raw and over its
+        mean, mean base colour of the regions of like true colour raw and over the mean of all,
+        relit pixels.
         """
         sh = sh_coefficients(light).reshape(-1, 3)
         means = np.stack([colours[self.region == r].mean(0) for r in range(self.region.max() + 1)])
-        return {"sh": sh.ravel(), "sh_relative": (sh[1:] / sh[0].mean()).ravel(), "base_colour": means.ravel(),
-                "base_colour_relative": (means / colours.mean()).ravel(), "relit": relit_pixels.ravel()}
+        return {
+            "sh": sh.ravel(),
+            "sh_relative": (sh[1:] / sh[0].mean()).ravel(),
+            "base_colour": means.ravel(),
+            "base_colour_relative": (means / colours.mean()).ravel(),
+            "relit": relit_pixels.ravel(),
+        }
 
     def scores(self, x: Explanation, renderer) -> tuple[dict, dict]:
         """Errors of `x`, and its own values of the unknowns."""
         colours, (pixels, again) = gather(x.base_color, self.uv), self.relit_by(x, renderer)
         raw, aligned = aligned_rms(colours, self.colours)
-        return {"light_psnr": light_psnr(x.light, self.light), "base_colour_rms": raw, "base_colour_rms_aligned": aligned,
-                "relit_psnr": psnr(pixels, self.relit, again=again)}, self.unknowns(x.light, colours, 0.5 * (pixels + again))
+        return {
+            "light_psnr": light_psnr(x.light, self.light),
+            "base_colour_rms": raw,
+            "base_colour_rms_aligned": aligned,
+            "relit_psnr": psnr(pixels, self.relit, again=again),
+        }, self.unknowns(x.light, colours, 0.5 * (pixels + again))
 
 
 def coverage(draws: np.ndarray, truth: np.ndarray) -> dict:
-    """Share of the unknowns whose true value (k,) the central interval of draws (n, k) holds, per nominal share.
+    """Share of the unknowns whose true value (k,) the central interval of draws (n, k) holds, per
+    nominal share.
 
-    A new draw falls between order statistics i and j of n others with probability (j - i) / (n + 1), so 9 draws have an
-    80 % interval between least and greatest; wider ones are Student's predictive intervals.
+    A new draw falls between order statistics i and j of n others with probability (j - i) / (n +
+    1), so 9 draws have an 80 % interval between least and greatest; wider ones are Student's
+    predictive intervals.
     """
     n, out = len(draws), {}
     for nominal in (0.5, 0.8, 0.95):
@@ -120,7 +159,9 @@ def coverage(draws: np.ndarray, truth: np.ndarray) -> dict:
         if rank >= 1:
             low, high = np.quantile(draws, [(rank - 1) / (n - 1), 1 - (rank - 1) / (n - 1)], axis=0)
         else:
-            reach = stats.t.ppf(0.5 + 0.5 * nominal, n - 1) * draws.std(0, ddof=1) * np.sqrt(1 + 1 / n)
+            reach = (
+                stats.t.ppf(0.5 + 0.5 * nominal, n - 1) * draws.std(0, ddof=1) * np.sqrt(1 + 1 / n)
+            )
             low, high = draws.mean(0) - reach, draws.mean(0) + reach
         out[f"{nominal:.0%}"] = float(((truth >= low) & (truth <= high)).mean())
     return out
@@ -129,22 +170,38 @@ def coverage(draws: np.ndarray, truth: np.ndarray) -> dict:
 def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict:
     """One method on one scene."""
     prior, rows, drawn_lights, quantities, pictures = load_prior(scene.sample.prior), [], [], [], []
-    load = lambda texture: load_problem(folders["observe"], folders["poses"], folders["atlas"], scene, texture, prior.height)
+    load = lambda texture: load_problem(
+        folders["observe"], folders["poses"], folders["atlas"], scene, texture, prior.height
+    )
     settings = scene.refine.model_copy(update={"steps": 0})
     full, small = load(settings.texture), load(min(COARSE, settings.texture))
     held = held_out_photos(full, folders["poses"], folders["mesh"], scene.observe.erode)
-    mean_psnr = lambda pictures: float(np.mean([psnr(a, photo, mask, b) for (a, b), (_, photo, mask) in zip(pictures, held)]))
-    known = (folder / "transforms.json").exists() and (folder / "truth").is_dir()          # truth has the frame of the given cameras
-    truth = Truth(folder / "truth", full, folders["atlas"] / "mesh_uv.ply", prior.height) if known else None
+    mean_psnr = lambda pictures: float(
+        np.mean([psnr(a, photo, mask, b) for (a, b), (_, photo, mask) in zip(pictures, held)])
+    )
+    known = (folder / "transforms.json").exists() and (
+        folder / "truth"
+    ).is_dir()  # truth has the frame of the given cameras
+    truth = (
+        Truth(folder / "truth", full, folders["atlas"] / "mesh_uv.ply", prior.height)
+        if known
+        else None
+    )
     for seed in range(samples):
         problem = load(scene.sample.texture)
         set_threads(1)
         began = time.perf_counter()
-        drawn, facts = SAMPLERS[method](problem, prior, Explanation.load(folders["fit"]), scene.sample, seed)
+        drawn, facts = SAMPLERS[method](
+            problem, prior, Explanation.load(folders["fit"]), scene.sample, seed
+        )
         row = {"seconds": time.perf_counter() - began}
         set_threads(2)
-        final, _ = refine(full, small, drawn, settings, seed, rescale=not facts.get("scale_drawn", False))
-        pictures.append([render_twice(full.renderer, final, view, mask, HELD_OUT_SPP) for view, _, mask in held])
+        final, _ = refine(
+            full, small, drawn, settings, seed, rescale=not facts.get("scale_drawn", False)
+        )
+        pictures.append(
+            [render_twice(full.renderer, final, view, mask, HELD_OUT_SPP) for view, _, mask in held]
+        )
         row["held_out_psnr"] = mean_psnr(pictures[-1])
         if truth:
             scores, values = truth.scores(final, full.renderer)
@@ -152,9 +209,13 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
             quantities.append(values)
             drawn_lights.append(np.log(np.maximum(final.light, 1e-6)))
         rows.append(row)
-    out = {"method": method, "samples": samples} | {k: round(float(np.mean([r[k] for r in rows])), 4) for k in rows[0]}
+    out = {"method": method, "samples": samples} | {
+        k: round(float(np.mean([r[k] for r in rows])), 4) for k in rows[0]
+    }
     out["peak_gib"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2)
-    out["held_out_psnr_of_mean"] = mean_psnr([np.mean(of_view, axis=0) for of_view in zip(*pictures)])
+    out["held_out_psnr_of_mean"] = mean_psnr(
+        [np.mean(of_view, axis=0) for of_view in zip(*pictures)]
+    )
     if truth:
         out["light_psnr_of_mean"] = light_psnr(np.exp(np.mean(drawn_lights, 0)), truth.light)
     if truth and samples > 2:
@@ -164,9 +225,17 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", nargs=2, action="append", metavar=("NAME", "FOLDER"), required=True)
-    parser.add_argument("--methods", nargs="+", default=["split_gibbs", "gaussian", "dpi_paper", "dpi_code", "sds", "map"])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--scene", nargs=2, action="append", metavar=("NAME", "FOLDER"), required=True
+    )
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        default=["split_gibbs", "gaussian", "dpi_paper", "dpi_code", "sds", "map"],
+    )
     parser.add_argument("--samples", type=int, default=2)
     parser.add_argument("--work", type=Path, default=Path("work"))
     parser.add_argument("--set", nargs="*", default=[], help="settings as section.key=value")
@@ -180,7 +249,9 @@ def main() -> None:
             rows.append({"scene": name} | judge(method, scene, folders, Path(folder), args.samples))
             print(json.dumps(rows[-1]), flush=True)
     if args.out:
-        write_json(args.out, {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows})
+        write_json(
+            args.out, {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows}
+        )
 
 
 if __name__ == "__main__":

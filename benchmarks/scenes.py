@@ -2,8 +2,8 @@
 
 python -m benchmarks.scenes --preset draft --samples 2 FOLDER [FOLDER ...]
 
-Each folder (see docs/scene_folder.md) becomes the scene of its own name; its configuration is written to
-configs/<name>.yaml for the run if there is none, and removed afterwards.
+Each folder (see docs/scene_folder.md) becomes the scene of its own name; its configuration is
+written to configs/<name>.yaml for the run if there is none, and removed afterwards.
 """
 
 from __future__ import annotations
@@ -16,19 +16,30 @@ import subprocess
 import sys
 from pathlib import Path
 
-from pipeline.files import read_json, write_json
+from pipeline.base.files import read_json, write_json
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
 def snakemake(folder: Path, targets: list[str], settings: list[str]) -> None:
-    """Make `targets` of the scene in `folder`, under a configuration of its own if there is none of its name."""
+    """Make `targets` of the scene in `folder`, under a configuration of its own if there is none of
+    its name.
+    """
     config = ROOT / "configs" / f"{folder.name}.yaml"
     made = not config.exists()
     if made:
         config.write_text(f"photos: {json.dumps(str(folder.resolve()))}\n", encoding="utf-8")
     try:
-        command = [sys.executable, "-m", "snakemake", "--cores", "2", *targets, "--config", *settings]
+        command = [
+            sys.executable,
+            "-m",
+            "snakemake",
+            "--cores",
+            "2",
+            *targets,
+            "--config",
+            *settings,
+        ]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
     finally:
         if made:
@@ -38,28 +49,52 @@ def snakemake(folder: Path, targets: list[str], settings: list[str]) -> None:
 def run(folder: Path, preset: str, samples: int, extra: list[str]) -> dict:
     """One scene through Snakemake; the metrics that matter."""
     name = folder.name
-    snakemake(folder, [f"exports/{name}.usda", f"exports/{name}_report.html"], [f"preset={preset}", f"samples={samples}", *extra])
+    snakemake(
+        folder,
+        [f"exports/{name}.usda", f"exports/{name}_report.html"],
+        [f"preset={preset}", f"samples={samples}", *extra],
+    )
     return collect(name, samples)
 
 
 def collect(name: str, samples: int) -> dict:
     """Metrics that the stages of a finished scene wrote."""
     work = ROOT / "work" / name
-    facts = {s: read_json(work / s / f"{s}.json") for s in ("capture", "poses", "masks", "mesh", "atlas", "observe", "fit")}
+    facts = {
+        s: read_json(work / s / f"{s}.json")
+        for s in ("capture", "poses", "masks", "mesh", "atlas", "observe", "fit")
+    }
     refined = [read_json(work / "refine" / str(k) / "refine.json") for k in range(samples)]
     drawn = [read_json(work / "sample" / str(k) / "sample.json") for k in range(samples)]
     scores = [r["held_out_psnr"] for r in refined if r["held_out_psnr"] is not None]
-    everything = list(facts.values()) + refined + drawn + [read_json(work / "export.json"), read_json(work / "report.json")]
-    return {"scene": name, "photos": f"{facts['poses']['registered']}/{facts['poses']['photos']}", "masks": facts["masks"]["method"],
-            "mesh": facts["mesh"]["method"], "stereo_share": facts["mesh"].get("stereo_share"), "samples": samples,
-            "held_out_psnr": sum(scores) / len(scores) if scores else None,
-            "seconds": {s: f["seconds"] for s, f in facts.items()} | {"sample": max(d["seconds"] for d in drawn),
-                                                                      "refine": max(r["seconds"] for r in refined)},
-            "sum_of_stage_seconds": sum(f["seconds"] for f in everything), "peak_gib": max(f["peak_gib"] for f in everything)}
+    everything = (
+        list(facts.values())
+        + refined
+        + drawn
+        + [read_json(work / "export.json"), read_json(work / "report.json")]
+    )
+    return {
+        "scene": name,
+        "photos": f"{facts['poses']['registered']}/{facts['poses']['photos']}",
+        "masks": facts["masks"]["method"],
+        "mesh": facts["mesh"]["method"],
+        "stereo_share": facts["mesh"].get("stereo_share"),
+        "samples": samples,
+        "held_out_psnr": sum(scores) / len(scores) if scores else None,
+        "seconds": {s: f["seconds"] for s, f in facts.items()}
+        | {
+            "sample": max(d["seconds"] for d in drawn),
+            "refine": max(r["seconds"] for r in refined),
+        },
+        "sum_of_stage_seconds": sum(f["seconds"] for f in everything),
+        "peak_gib": max(f["peak_gib"] for f in everything),
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--preset", default="draft")
     parser.add_argument("--samples", type=int, default=2)
@@ -71,10 +106,22 @@ def main() -> None:
         try:
             rows.append(run(folder, args.preset, args.samples, args.set))
         except subprocess.CalledProcessError as error:
-            rows.append({"scene": folder.name, "failed": f"exit status {error.returncode}; see work/{folder.name}/logs"})
+            rows.append(
+                {
+                    "scene": folder.name,
+                    "failed": f"exit status {error.returncode}; see work/{folder.name}/logs",
+                }
+            )
         print(json.dumps(rows[-1]), flush=True)
     if args.out:
-        write_json(args.out, {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "preset": args.preset, "rows": rows})
+        write_json(
+            args.out,
+            {
+                "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+                "preset": args.preset,
+                "rows": rows,
+            },
+        )
 
 
 if __name__ == "__main__":

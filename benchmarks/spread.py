@@ -1,15 +1,18 @@
-"""How the draws' spread follows what the photos can tell: against roughness, against the number of views, behind a mask.
+"""How the draws' spread follows what the photos can tell: against roughness, against the number of
+views, behind a mask.
 
 python -m benchmarks.spread --draws 6 --lights 3 --out spread.json --chart spread.png
 
-A sphere of known material under a light drawn from the prior, seen from evenly spread cameras, 3 % noise (as in Figs. 9 to 11 of
-the paper). `split_gibbs`' turns draw the light and the base colour; roughness and metallic are known. Spread: standard deviation between draws
-of log luminance over blocks of 22.5 degrees less its mean, averaged over solid angle; beside it the same for draws of the prior
-alone, which is what nothing seen would give.
+A sphere of known material under a light drawn from the prior, seen from evenly spread cameras, 3 %
+noise (as in Figs. 9 to 11 of the paper). `split_gibbs`' turns draw the light and the base colour;
+roughness and metallic are known. Spread: standard deviation between draws of log luminance over
+blocks of 22.5 degrees less its mean, averaged over solid angle; beside it the same for draws of the
+prior alone, which is what nothing seen would give.
 
-`roughness`: metal from nearly a mirror to rough, from all sides, then a white dielectric of roughness 1 (nearly Lambert's). `views`: metal of
-roughness VIEWED from 1 to 32 sides. `masked`: a mirror of which one half only is seen, from one side; the light's blocks are split by
-whether the seen half reflects them.
+`roughness`: metal from nearly a mirror to rough, from all sides, then a white dielectric of
+roughness 1 (nearly Lambert's). `views`: metal of roughness VIEWED from 1 to 32 sides. `masked`: a
+mirror of which one half only is seen, from one side; the light's blocks are split by whether the
+seen half reflects them.
 """
 
 from __future__ import annotations
@@ -27,30 +30,33 @@ import numpy as np
 import torch
 
 from benchmarks.geometry import even
-from pipeline.config import Sample
-from pipeline.envmap import directions, resample_area, solid_angles
-from pipeline.files import write_json
-from pipeline.images import luminance, write_png
-from pipeline.mesh_io import Mesh, save_mesh, unit
-from pipeline.posterior.coded import PixelCode
-from pipeline.posterior.likelihood import LEVELS, Lobes, Photos, Theta
+from pipeline.base.config import Sample
+from pipeline.base.files import write_json
+from pipeline.base.images import luminance, write_png
+from pipeline.base.progress import progress
+from pipeline.base.runtime import import_open3d, set_threads
+from pipeline.base.runtime import mitsuba as mi
+from pipeline.geometry.mesh_io import Mesh, save_mesh, unit
 from pipeline.posterior.problem import SHADE, generators
-from pipeline.posterior.turns import LAST, Turns
-from pipeline.prior import load_prior
+from pipeline.posterior.split_gibbs.light_codes import PixelCode
+from pipeline.posterior.split_gibbs.likelihood import LEVELS, Lobes, Photos, Theta
+from pipeline.posterior.split_gibbs.turns import LAST, Turns
+from pipeline.prior.load import load_prior
 from pipeline.prior.sampling import draw
-from pipeline.progress import progress
-from pipeline.runtime import import_open3d, mitsuba as mi, set_threads
-from pipeline.transport import STEEP, Rows, Transport
+from pipeline.render.envmap import directions, resample_area, solid_angles
+from pipeline.render.transport import STEEP, Rows, Transport
 
 POINTS, ERROR, COLOUR, VIEWED = 300, 0.03, 0.8, 0.35
-Y_UP = [1, 2, 0]        # the lattice begins at the last axis
+Y_UP = [1, 2, 0]  # the lattice begins at the last axis
 VIEWS = (1, 2, 4, 8, 16, 32)
-BLOCKS = 8              # rows of the light over which luminance is averaged
+BLOCKS = 8  # rows of the light over which luminance is averaged
 WEIGHT = solid_angles(BLOCKS, 2 * BLOCKS).reshape(-1)
 
 
 class Sphere:
-    """Rays that see points of the unit sphere from `cameras` (v, 3), as the operator asks for them; `seen` limits the points."""
+    """Rays that see points of the unit sphere from `cameras` (v, 3), as the operator asks for them;
+    `seen` limits the points.
+    """
 
     def __init__(self, cameras: np.ndarray, seen=lambda p: np.ones(len(p), bool)):
         points = even(POINTS)[:, Y_UP]
@@ -74,23 +80,34 @@ def ball(folder: Path) -> tuple[object, Path]:
     return mi.load_dict({"type": "scene", "obj": {"type": "ply", "filename": str(path)}}), path
 
 
-def photographed(sphere: Sphere, roughness: float, metallic: float, light: np.ndarray, size: int, rng) -> Photos:
+def photographed(
+    sphere: Sphere, roughness: float, metallic: float, light: np.ndarray, size: int, rng
+) -> Photos:
     """Photos (likelihood) of the sphere under `light` (h, 2h, 3); the operator has `size` rows."""
     with tempfile.TemporaryDirectory() as folder:
         scene, path = ball(Path(folder))
         transport = Transport(scene, path, sphere, sphere.rows, size, 0, 0)
-    lobes = Lobes(transport, roughness, 0, swallowed=1.0)                   # of metals at any roughness, as the paper's
+    lobes = Lobes(
+        transport, roughness, 0, swallowed=1.0
+    )  # of metals at any roughness, as the paper's
     n, points = len(sphere.rows.point), sphere.rows.point.max() + 1
     photos = Photos(transport, lobes, np.ones((n, 3)), np.zeros(n, bool), np.zeros(points, int), 1)
-    photos.set(Theta(np.full((1, 3), COLOUR), np.full(1, 1e-3), np.zeros(1, int), np.full(1, metallic)))
+    photos.set(
+        Theta(np.full((1, 3), COLOUR), np.full(1, 1e-3), np.zeros(1, int), np.full(1, metallic))
+    )
     U, W = photos.predict(resample_area(light, size, 2 * size).reshape(-1, 3))
     clean = COLOUR * U + W
-    photos.eta, photos.observed = ERROR, clean + ERROR * (clean + SHADE) * rng.normal(size=clean.shape)
+    photos.eta, photos.observed = (
+        ERROR,
+        clean + ERROR * (clean + SHADE) * rng.normal(size=clean.shape),
+    )
     return photos
 
 
 def blocks(light: np.ndarray) -> np.ndarray:
-    """Log luminance of the light's blocks less its mean (BLOCKS * 2 BLOCKS,): an unknown base colour leaves the brightness open."""
+    """Log luminance of the light's blocks less its mean (BLOCKS * 2 BLOCKS,): an unknown base
+    colour leaves the brightness open.
+    """
     out = np.log(luminance(resample_area(light, BLOCKS, 2 * BLOCKS))).reshape(-1)
     return out - np.average(out, weights=WEIGHT)
 
@@ -102,7 +119,9 @@ def posterior(photos: Photos, prior, settings: Sample, draws: int) -> np.ndarray
         rng, noise = generators(settings, seed)
         turns = Turns(photos, photos.theta.copy(), 0.0, prior, gaussian, settings, rng, noise)
         with torch.no_grad():
-            code = turns.diffusion_turns(turns.handed_over(turns.turns_with_gaussian(2)), f"draw {seed}")
+            code = turns.diffusion_turns(
+                turns.handed_over(turns.turns_with_gaussian(2)), f"draw {seed}"
+            )
             out.append(blocks(PixelCode(photos, prior, 0.0, LAST).map(code)))
     return np.array(out)
 
@@ -112,28 +131,46 @@ def facing(p: np.ndarray) -> np.ndarray:
     return p[:, 0] > 0.1
 
 
-CASES = [("roughness", r, 1.0, 16) for r in LEVELS[::2] + LEVELS[-1:]] + [("roughness Lambert", 1.0, 0.0, 16)] \
-    + [("views", VIEWED, 1.0, v) for v in VIEWS] + [("masked", LEVELS[0], 1.0, 1)]
+CASES = (
+    [("roughness", r, 1.0, 16) for r in LEVELS[::2] + LEVELS[-1:]]
+    + [("roughness Lambert", 1.0, 0.0, 16)]
+    + [("views", VIEWED, 1.0, v) for v in VIEWS]
+    + [("masked", LEVELS[0], 1.0, 1)]
+)
 
 
 def measure(job: tuple) -> dict:
-    """One case under one light: spread of the draws and error of their mean; spread for `masked` where seen and unseen."""
+    """One case under one light: spread of the draws and error of their mean; spread for `masked`
+    where seen and unseen.
+    """
     (kind, roughness, metallic, views), k, draws, name = job
     set_threads(1)
     settings, prior = Sample(prior=name), load_prior(name)
     light = prior.decode(draw(prior, k + 1, 30, 11)[k:])[0].numpy().transpose(1, 2, 0)
     cameras = 5 * even(views)[:, Y_UP] if kind != "masked" else 5 * np.array([[0.0, 0.0, 1.0]])
     sphere = Sphere(cameras, facing) if kind == "masked" else Sphere(cameras)
-    photos = photographed(sphere, roughness, metallic, light, settings.light, np.random.default_rng([k, 5]))
+    photos = photographed(
+        sphere, roughness, metallic, light, settings.light, np.random.default_rng([k, 5])
+    )
     drawn, true = posterior(photos, prior, settings, draws), blocks(light)
     spread, error = drawn.std(0, ddof=1), np.abs(drawn.mean(0) - true)
-    out = {"kind": kind, "roughness": roughness, "metallic": metallic, "views": views, "light": k, "rows": len(photos.observed),
-           "spread": float(np.average(spread, weights=WEIGHT)), "error": float(np.average(error, weights=WEIGHT))}
+    out = {
+        "kind": kind,
+        "roughness": roughness,
+        "metallic": metallic,
+        "views": views,
+        "light": k,
+        "rows": len(photos.observed),
+        "spread": float(np.average(spread, weights=WEIGHT)),
+        "error": float(np.average(error, weights=WEIGHT)),
+    }
     if kind == "masked":
         mirrored = sphere.d - 2 * (sphere.d * sphere.normal).sum(1, keepdims=True) * sphere.normal
         d = directions(BLOCKS, 2 * BLOCKS).reshape(-1, 3)
         seen = (d @ mirrored.T).max(1) > np.cos(np.radians(12))
-        out["spread"], out["spread_unseen"] = (float(np.average(spread[s], weights=WEIGHT[s])) for s in (seen, ~seen))
+        out["spread"], out["spread_unseen"] = (
+            float(np.average(spread[s], weights=WEIGHT[s])) for s in (seen, ~seen)
+        )
         out["seen_share"] = float(np.average(seen, weights=WEIGHT))
     return out
 
@@ -154,7 +191,10 @@ def table(rows: list[dict]) -> list[dict]:
         for key in ("spread", "spread_unseen", "error"):
             values = [r[key] for r in mine if key in r]
             if values:
-                line[key] = [float(np.mean(values)), float(np.std(values, ddof=1) / len(values) ** 0.5) if len(values) > 1 else None]
+                line[key] = [
+                    float(np.mean(values)),
+                    float(np.std(values, ddof=1) / len(values) ** 0.5) if len(values) > 1 else None,
+                ]
         out.append(line)
     return out
 
@@ -162,10 +202,18 @@ def table(rows: list[dict]) -> list[dict]:
 def chart(lines: list[dict], top: float, path: Path) -> None:
     """Two panels, spread against roughness and against views, as a PNG of 900 x 400."""
     image = np.full((400, 900, 3), 255, np.uint8)
-    write = lambda text, at: cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
-    for left, kind, key, title in ((60, "roughness", "roughness", "roughness (last: Lambert)"), (510, "views", "views", "views")):
+    write = lambda text, at: cv2.putText(
+        image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA
+    )
+    for left, kind, key, title in (
+        (60, "roughness", "roughness", "roughness (last: Lambert)"),
+        (510, "views", "views", "views"),
+    ):
         mine = [line for line in lines if line["kind"].split()[0] == kind]
-        at = [(left + int(340 * k / (len(mine) - 1)), 350 - int(300 * line["spread"][0] / top)) for k, line in enumerate(mine)]
+        at = [
+            (left + int(340 * k / (len(mine) - 1)), 350 - int(300 * line["spread"][0] / top))
+            for k, line in enumerate(mine)
+        ]
         cv2.polylines(image, [np.array(at)], False, (180, 90, 20), 2, cv2.LINE_AA)
         for (x, y), line in zip(at, mine):
             bar = int(300 * (line["spread"][1] or 0) / top)
@@ -177,7 +225,9 @@ def chart(lines: list[dict], top: float, path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--draws", type=int, default=6)
     parser.add_argument("--lights", type=int, default=3)
     parser.add_argument("--prior", default="prior_small")
@@ -189,7 +239,13 @@ def main() -> None:
     with ProcessPoolExecutor(args.workers) as pool:
         rows = list(progress(pool.map(measure, jobs), "cases", len(jobs)))
     lines, top = table(rows), prior_spread(args.prior, 48)
-    result = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "prior": args.prior, "prior_alone": top, "table": lines, "rows": rows}
+    result = {
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "prior": args.prior,
+        "prior_alone": top,
+        "table": lines,
+        "rows": rows,
+    }
     print(json.dumps({"prior_alone": top, "table": lines}, indent=1))
     if args.out:
         write_json(args.out, result)

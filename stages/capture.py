@@ -1,12 +1,16 @@
-"""Capture: photos as linear light at working size, with exposure undone and clipped values known."""
+"""Capture: photos as linear light at working size, with exposure undone and clipped values
+known.
+"""
+
 from pathlib import Path
 
-from pipeline.files import report_metrics, stage_folder
-from pipeline.stage import stage
+from pipeline.base.files import report_metrics, stage_folder
+from pipeline.run.stage import stage
 
 
 def work(s):
-    from pipeline.capture import capture
+    from pipeline.photos.capture import capture
+
     with stage_folder(s.out) as out:
         metrics = capture(Path(s.scene.photos), out, s.scene.capture)
         report_metrics(out / "capture.json", metrics | s.costs())

@@ -1,22 +1,45 @@
-"""Export: exports/<scene>.usda with one variant per sample, flat files beside it, checked by the USD validators."""
+"""Export: exports/<scene>.usda with one variant per sample, flat files beside it, checked by the
+USD validators.
+"""
+
 from pathlib import Path
 
-from pipeline.files import read_json, report_metrics
-from pipeline.stage import stage
+from pipeline.base.files import read_json, report_metrics
+from pipeline.run.stage import stage
 
 
 def work(s):
-    from pipeline.usd import export
-    facts = {"preset": s.scene.preset, "sampler": s.scene.sample.method, "prior": s.scene.sample.prior, "seed": s.scene.sample.seed,
-             "poses": read_json(s.args.poses / "poses.json")["source"], "meters_known": s.scene.poses.object_size is not None}
+    from pipeline.usd.write import export
+
+    facts = {
+        "preset": s.scene.preset,
+        "sampler": s.scene.sample.method,
+        "prior": s.scene.sample.prior,
+        "seed": s.scene.sample.seed,
+        "poses": read_json(s.args.poses / "poses.json")["source"],
+        "meters_known": s.scene.poses.object_size is not None,
+    }
     metrics = export(s.args.atlas, s.args.samples, s.out, facts)
     report_metrics(s.args.metrics, metrics | s.costs())
 
 
 def more(parser):
-    parser.add_argument("--samples", type=Path, nargs="+", required=True, help="folders of refined samples, in order")
-    parser.add_argument("--metrics", type=Path, required=True, help="JSON file for this stage's metrics")
+    parser.add_argument(
+        "--samples",
+        type=Path,
+        nargs="+",
+        required=True,
+        help="folders of refined samples, in order",
+    )
+    parser.add_argument(
+        "--metrics", type=Path, required=True, help="JSON file for this stage's metrics"
+    )
 
 
 if __name__ == "__main__":
-    stage(__doc__, {"atlas": "folder of the atlas stage", "poses": "folder of the poses stage"}, work, more)
+    stage(
+        __doc__,
+        {"atlas": "folder of the atlas stage", "poses": "folder of the poses stage"},
+        work,
+        more,
+    )

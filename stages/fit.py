@@ -1,20 +1,36 @@
 """Fit: a point estimate of light and materials together (DPI, Eq. 15)."""
-from pipeline.files import report_metrics, stage_folder
-from pipeline.stage import stage
+
+from pipeline.base.files import report_metrics, stage_folder
+from pipeline.run.stage import stage
 
 
 def work(s):
+    from pipeline.base.runtime import set_threads
     from pipeline.posterior.fit import fit
     from pipeline.posterior.load import load_problem
-    from pipeline.runtime import set_threads
+
     set_threads(s.args.threads)
     with stage_folder(s.out) as out:
-        problem = load_problem(s.args.observe, s.args.poses, s.args.atlas, s.scene, s.scene.fit.texture, s.scene.render.light_height)
+        problem = load_problem(
+            s.args.observe,
+            s.args.poses,
+            s.args.atlas,
+            s.scene,
+            s.scene.fit.texture,
+            s.scene.render.light_height,
+        )
         best, facts = fit(problem, s.scene.fit)
         best.save(out)
         report_metrics(out / "fit.json", facts | s.costs())
 
 
 if __name__ == "__main__":
-    stage(__doc__, {"observe": "folder of the observe stage", "poses": "folder of the poses stage",
-                    "atlas": "folder of the atlas stage"}, work)
+    stage(
+        __doc__,
+        {
+            "observe": "folder of the observe stage",
+            "poses": "folder of the poses stage",
+            "atlas": "folder of the atlas stage",
+        },
+        work,
+    )

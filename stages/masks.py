@@ -1,10 +1,12 @@
 """Masks: which pixels show the object (given, or found without any download)."""
-from pipeline.files import report_metrics, stage_folder
-from pipeline.stage import stage
+
+from pipeline.base.files import report_metrics, stage_folder
+from pipeline.run.stage import stage
 
 
 def work(s):
-    from pipeline.masks import make_masks
+    from pipeline.masks.make import make_masks
+
     with stage_folder(s.out) as out:
         metrics = make_masks(s.args.poses, out, s.scene.masks, s.args.threads)
         report_metrics(out / "masks.json", metrics | s.costs())

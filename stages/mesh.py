@@ -1,16 +1,24 @@
-"""Mesh: the object's closed, decimated surface (given, or hull and stereo fused by how much views agree)."""
+"""Mesh: the object's closed, decimated surface (given, or hull and stereo fused by how much views
+agree).
+"""
+
 from pathlib import Path
 
-from pipeline.files import report_metrics, stage_folder
-from pipeline.stage import stage
+from pipeline.base.files import report_metrics, stage_folder
+from pipeline.run.stage import stage
 
 
 def work(s):
-    from pipeline.surface import make_mesh
+    from pipeline.surface.make import make_mesh
+
     with stage_folder(s.out) as out:
-        metrics = make_mesh(s.args.poses, s.args.masks, Path(s.scene.photos), out, s.scene.mesh, s.args.threads)
+        metrics = make_mesh(
+            s.args.poses, s.args.masks, Path(s.scene.photos), out, s.scene.mesh, s.args.threads
+        )
         report_metrics(out / "mesh.json", metrics | s.costs())
 
 
 if __name__ == "__main__":
-    stage(__doc__, {"poses": "folder of the poses stage", "masks": "folder of the masks stage"}, work)
+    stage(
+        __doc__, {"poses": "folder of the poses stage", "masks": "folder of the masks stage"}, work
+    )

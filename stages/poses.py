@@ -1,14 +1,20 @@
-"""Poses: cameras given (transforms.json, COLMAP model) or found by structure from motion; undistorted photos."""
+"""Poses: cameras given (transforms.json, COLMAP model) or found by structure from motion;
+undistorted photos.
+"""
+
 from pathlib import Path
 
-from pipeline.files import report_metrics, stage_folder
-from pipeline.stage import stage
+from pipeline.base.files import report_metrics, stage_folder
+from pipeline.run.stage import stage
 
 
 def work(s):
-    from pipeline.poses import make_poses
+    from pipeline.photos.poses import make_poses
+
     with stage_folder(s.out) as out:
-        metrics = make_poses(s.args.capture, Path(s.scene.photos), out, s.scene.poses, s.args.threads)
+        metrics = make_poses(
+            s.args.capture, Path(s.scene.photos), out, s.scene.poses, s.args.threads
+        )
         report_metrics(out / "poses.json", metrics | s.costs())
 
 

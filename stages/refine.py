@@ -1,14 +1,18 @@
-"""Refine: one sample's materials at full texture size, with the light's shape held (DPI, Eq. 17); held-out score."""
-from pipeline.files import read_json, report_metrics, stage_folder
-from pipeline.stage import stage
+"""Refine: one sample's materials at full texture size, with the light's shape held (DPI, Eq. 17);
+held-out score.
+"""
+
+from pipeline.base.files import read_json, report_metrics, stage_folder
+from pipeline.run.stage import stage
 
 
 def work(s):
-    from pipeline.metrics import score_held_out
-    from pipeline.optics import Explanation
+    from pipeline.base.runtime import set_threads
     from pipeline.posterior.load import load_problem
     from pipeline.posterior.refine import COARSE, refine
-    from pipeline.runtime import set_threads
+    from pipeline.render.metrics import score_held_out
+    from pipeline.render.renderer import Explanation
+
     set_threads(s.args.threads)
     settings, folders = s.scene.refine, (s.args.observe, s.args.poses, s.args.atlas)
     with stage_folder(s.out) as out:
@@ -19,12 +23,27 @@ def work(s):
         drawn = read_json(s.args.sample / "sample.json").get("scale_drawn", False)
         refined, facts = refine(problem, small, sample, settings, s.args.index, rescale=not drawn)
         refined.save(out)
-        scores = score_held_out(problem, refined, s.args.poses, s.args.mesh, s.scene.observe.erode, 2 * s.scene.report.spp)
+        scores = score_held_out(
+            problem,
+            refined,
+            s.args.poses,
+            s.args.mesh,
+            s.scene.observe.erode,
+            2 * s.scene.report.spp,
+        )
         report_metrics(out / "refine.json", {"index": s.args.index} | facts | scores | s.costs())
 
 
 if __name__ == "__main__":
-    stage(__doc__, {"observe": "folder of the observe stage", "poses": "folder of the poses stage",
-                    "mesh": "folder of the mesh stage (final masks)", "atlas": "folder of the atlas stage",
-                    "sample": "folder of the sample"}, work,
-          lambda parser: parser.add_argument("--index", type=int, required=True, help="which sample"))
+    stage(
+        __doc__,
+        {
+            "observe": "folder of the observe stage",
+            "poses": "folder of the poses stage",
+            "mesh": "folder of the mesh stage (final masks)",
+            "atlas": "folder of the atlas stage",
+            "sample": "folder of the sample",
+        },
+        work,
+        lambda parser: parser.add_argument("--index", type=int, required=True, help="which sample"),
+    )

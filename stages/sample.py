@@ -1,28 +1,53 @@
 """Sample: one posterior draw of light and materials. Independent of every other sample."""
-from pipeline.files import report_metrics, stage_folder
-from pipeline.stage import stage
+
+from pipeline.base.files import report_metrics, stage_folder
+from pipeline.run.stage import stage
 
 
 def work(s):
-    from pipeline.errors import InputError, nearest
-    from pipeline.optics import Explanation
-    from pipeline.posterior import SAMPLERS
+    from pipeline.base.errors import InputError, nearest
+    from pipeline.base.runtime import set_threads
     from pipeline.posterior.load import load_problem
-    from pipeline.prior import load_prior
-    from pipeline.runtime import set_threads
+    from pipeline.posterior.samplers import SAMPLERS
+    from pipeline.prior.load import load_prior
+    from pipeline.render.renderer import Explanation
+
     settings = s.scene.sample
     if settings.method not in SAMPLERS:
-        raise InputError(f"unknown sampler '{settings.method}'", "sample.method", nearest(settings.method, SAMPLERS))
+        raise InputError(
+            f"unknown sampler '{settings.method}'",
+            "sample.method",
+            nearest(settings.method, SAMPLERS),
+        )
     prior = load_prior(settings.prior)
-    set_threads(s.args.threads)                 # one thread: sums in a fixed order, so sample k is bit-identical anywhere
+    set_threads(
+        s.args.threads
+    )  # one thread: sums in a fixed order, so sample k is bit-identical anywhere
     with stage_folder(s.out) as out:
-        problem = load_problem(s.args.observe, s.args.poses, s.args.atlas, s.scene, settings.texture, prior.height)
-        drawn, facts = SAMPLERS[settings.method](problem, prior, Explanation.load(s.args.fit), settings, s.args.index)
+        problem = load_problem(
+            s.args.observe, s.args.poses, s.args.atlas, s.scene, settings.texture, prior.height
+        )
+        drawn, facts = SAMPLERS[settings.method](
+            problem, prior, Explanation.load(s.args.fit), settings, s.args.index
+        )
         drawn.save(out)
-        report_metrics(out / "sample.json", {"index": s.args.index, "method": settings.method} | facts | s.costs())
+        report_metrics(
+            out / "sample.json",
+            {"index": s.args.index, "method": settings.method} | facts | s.costs(),
+        )
 
 
 if __name__ == "__main__":
-    stage(__doc__, {"observe": "folder of the observe stage", "poses": "folder of the poses stage",
-                    "atlas": "folder of the atlas stage", "fit": "folder of the fit stage"}, work,
-          lambda parser: parser.add_argument("--index", type=int, required=True, help="which sample: its seed"))
+    stage(
+        __doc__,
+        {
+            "observe": "folder of the observe stage",
+            "poses": "folder of the poses stage",
+            "atlas": "folder of the atlas stage",
+            "fit": "folder of the fit stage",
+        },
+        work,
+        lambda parser: parser.add_argument(
+            "--index", type=int, required=True, help="which sample: its seed"
+        ),
+    )

@@ -1,10 +1,13 @@
-"""Shared pieces: a small closed mesh with an atlas, cameras around it, and scene folders in temporary places."""
+"""Shared pieces: a small closed mesh with an atlas, cameras around it, and scene folders in
+temporary places.
+"""
+
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline import runtime
+from pipeline.base import runtime
 
 runtime.set_threads(2)
 
@@ -25,26 +28,44 @@ def look_at(eye, target=(0, 0, 0), up=(0, 1, 0)) -> np.ndarray:
 @pytest.fixture
 def ring():
     """views(n, size, radius, elevation) -> Views on a ring around the origin."""
-    from pipeline.cameras import View
+    from pipeline.geometry.cameras import View
 
     def make(n=10, size=64, radius=3.0, elevation=25.0, focal=1.4):
         out = []
         for k in range(n):
             a, e = 2 * np.pi * k / n, np.radians(elevation if k % 2 else -0.4 * elevation)
             eye = radius * np.array([np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)])
-            out.append(View(f"v{k}", f"images/v{k}.exr", size, size, focal * size, focal * size, size / 2, size / 2, look_at(eye)))
+            out.append(
+                View(
+                    f"v{k}",
+                    f"images/v{k}.exr",
+                    size,
+                    size,
+                    focal * size,
+                    focal * size,
+                    size / 2,
+                    size / 2,
+                    look_at(eye),
+                )
+            )
         return out
+
     return make
 
 
 def save_surface(folder: Path, distance: np.ndarray, axis: np.ndarray) -> None:
-    """The zero surface of signed distances on a cubic grid, with an atlas, as a folder like the atlas stage's."""
+    """The zero surface of signed distances on a cubic grid, with an atlas, as a folder like the
+    atlas stage's.
+    """
     from skimage.measure import marching_cubes
 
-    from pipeline.atlas import make_atlas
-    from pipeline.config import Atlas
-    from pipeline.mesh_io import Mesh, save_mesh, vertex_normals
-    vertices, faces, _, _ = marching_cubes(-distance.astype(np.float32), 0.0, gradient_direction="ascent")
+    from pipeline.base.config import Atlas
+    from pipeline.geometry.mesh_io import Mesh, save_mesh, vertex_normals
+    from pipeline.surface.atlas import make_atlas
+
+    vertices, faces, _, _ = marching_cubes(
+        -distance.astype(np.float32), 0.0, gradient_direction="ascent"
+    )
     vertices = vertices * (axis[1] - axis[0]) + axis[0]
     save_mesh(folder / "mesh.ply", Mesh(vertices, faces, vertex_normals(vertices, faces)))
     make_atlas(folder / "mesh.ply", folder, Atlas(resolution=64, padding=1))
@@ -54,5 +75,7 @@ def save_surface(folder: Path, distance: np.ndarray, axis: np.ndarray) -> None:
 def ball(tmp_path_factory) -> Path:
     """A sphere of radius 0.5 as a folder."""
     folder, axis = tmp_path_factory.mktemp("ball"), np.linspace(-0.7, 0.7, 22)
-    save_surface(folder, np.sqrt(sum(g**2 for g in np.meshgrid(axis, axis, axis, indexing="ij"))) - 0.5, axis)
+    save_surface(
+        folder, np.sqrt(sum(g**2 for g in np.meshgrid(axis, axis, axis, indexing="ij"))) - 0.5, axis
+    )
     return folder

@@ -1,16 +1,20 @@
-"""How well each mask agrees with the hull of all: a mask that is missing a part would carve the object away."""
+"""How well each mask agrees with the hull of all: a mask that is missing a part would carve the
+object away.
+"""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from ..cameras import Rig
-from ..voxels import Grid, sample, silhouette
+from pipeline.geometry.cameras import Rig
+from pipeline.geometry.voxels import Grid, sample, silhouette
 
 
 def vote(rig: Rig, masks: dict, grid: Grid, names=None) -> tuple[np.ndarray, np.ndarray]:
-    """Per cell: in how many views it lies inside the mask, and in how many it is in the frame. (n,), (n,)"""
+    """Per cell: in how many views it lies inside the mask, and in how many it is in the frame.
+    (n,), (n,)
+    """
     points = grid.centers()
     inside, seen = np.zeros(len(points), np.int32), np.zeros(len(points), np.int32)
     for v in rig.views:
@@ -22,8 +26,11 @@ def vote(rig: Rig, masks: dict, grid: Grid, names=None) -> tuple[np.ndarray, np.
     return inside, seen
 
 
-def hull_points(rig: Rig, masks: dict, longest: int = 72, tolerance: float = 0.12) -> tuple[np.ndarray, float]:
-    """Cell centres (n, 3) inside at least 1 - tolerance of the masks that see them, and the cell size.
+def hull_points(
+    rig: Rig, masks: dict, longest: int = 72, tolerance: float = 0.12
+) -> tuple[np.ndarray, float]:
+    """Cell centres (n, 3) inside at least 1 - tolerance of the masks that see them, and the cell
+    size.
 
     Two passes: over the scene's sphere, then over what the first pass found.
     """
@@ -31,7 +38,9 @@ def hull_points(rig: Rig, masks: dict, longest: int = 72, tolerance: float = 0.1
     for _ in range(2):
         grid = Grid.over(low, high, longest)
         inside, seen = vote(rig, masks, grid)
-        kept = grid.centers()[(inside >= (1 - tolerance) * seen) & (seen >= max(2, 0.5 * len(rig.views)))]
+        kept = grid.centers()[
+            (inside >= (1 - tolerance) * seen) & (seen >= max(2, 0.5 * len(rig.views)))
+        ]
         if not len(kept):
             return kept, grid.cell
         low, high = kept.min(0) - 2 * grid.cell, kept.max(0) + 2 * grid.cell
@@ -39,13 +48,17 @@ def hull_points(rig: Rig, masks: dict, longest: int = 72, tolerance: float = 0.1
 
 
 def agreement(rig: Rig, masks: dict) -> dict[str, dict]:
-    """name -> {"confidence": IoU of the mask with the hull's silhouette, "carve": whether it may remove volume}."""
+    """name -> {"confidence": IoU of the mask with the hull's silhouette, "carve": whether it may
+    remove volume}.
+    """
     points, cell = hull_points(rig, masks)
     out = {}
     for v in rig.views:
         mask = masks[v.name]
         size = (max(1, v.width // 2), max(1, v.height // 2))
-        small = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
+        small = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(
+            bool
+        )
         hull = silhouette(v, points, cell, size) if len(points) else np.zeros_like(small)
         union = (small | hull).sum()
         iou = float((small & hull).sum() / union) if union else 0.0

@@ -1,10 +1,12 @@
-"""Masks without a network: what differs from the bare ground plane, cut along edges, held together by all views.
+"""Masks without a network: what differs from the bare ground plane, cut along edges, held together
+by all views.
 
-1. Warp every photo onto the ground plane; the median over views is the ground without the object, shadows included,
-   because they do not move. 2. What differs from it, above 1.6 times the 95th percentile of the differences outside the
-   object's sphere, is object; rays that miss the known ground say nothing. 3. A soft visual hull turns that evidence
-   into one volume. 4. GrabCut (Rother et al. 2004) between hull and background, twice, the second time with the hull of
-   the first masks.
+1. Warp every photo onto the ground plane; the median over views is the ground without the object,
+   shadows included,
+   because they do not move. 2. What differs from it, above 1.6 times the 95th percentile of the
+   differences outside the object's sphere, is object; rays that miss the known ground say nothing.
+   3. A soft visual hull turns that evidence into one volume. 4. GrabCut (Rother et al. 2004)
+   between hull and background, twice, the second time with the hull of the first masks.
 """
 
 from __future__ import annotations
@@ -16,17 +18,17 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from ..cameras import Rig, View
-from ..config import Masks
-from ..errors import InputError
-from ..images import linear_to_srgb, read_exr
-from ..progress import progress
-from ..voxels import Grid, sample, silhouette
-from .agreement import hull_points
+from pipeline.base.config import Masks
+from pipeline.base.errors import InputError
+from pipeline.base.images import linear_to_srgb, read_exr
+from pipeline.base.progress import progress
+from pipeline.geometry.cameras import Rig, View
+from pipeline.geometry.voxels import Grid, sample, silhouette
+from pipeline.masks.agreement import hull_points
 
-WORKING = 600          # long side in pixels
-TEXTURE = 512          # texels along the ground's side
-EXTENT = 3.5           # half-side of the known ground in object radii
+WORKING = 600  # long side in pixels
+TEXTURE = 512  # texels along the ground's side
+EXTENT = 3.5  # half-side of the known ground in object radii
 
 
 def to_lab(path: Path, size: tuple[int, int]) -> np.ndarray:
@@ -42,8 +44,12 @@ def ground_points(rig: Rig, height: float) -> np.ndarray:
     return np.stack([x, np.full_like(x, height), z], -1)
 
 
-def bare_ground(rig: Rig, labs: dict[str, np.ndarray], height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Median colour (t, t, 3) over views and its spread (t, t); NaN where fewer than four views look."""
+def bare_ground(
+    rig: Rig, labs: dict[str, np.ndarray], height: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Median colour (t, t, 3) over views and its spread (t, t); NaN where fewer than four views
+    look.
+    """
     points = ground_points(rig, height).reshape(-1, 3)
     stack = np.full((len(rig.views), len(points), 3), np.nan, np.float32)
     for k, v in enumerate(rig.views):
@@ -51,8 +57,12 @@ def bare_ground(rig: Rig, labs: dict[str, np.ndarray], height: float) -> tuple[n
         stack[k, inside] = value[inside]
     seen = np.isfinite(stack[..., 0]).sum(0)
     median, spread = _median_and_spread(stack, seen)
-    steep = np.argsort([-v.position[1] / np.linalg.norm(v.position - rig.center) for v in rig.views])
-    steep = stack[steep[:max(6, round(0.35 * len(rig.views)))]]      # from above, little ground hides behind the object
+    steep = np.argsort(
+        [-v.position[1] / np.linalg.norm(v.position - rig.center) for v in rig.views]
+    )
+    steep = stack[
+        steep[: max(6, round(0.35 * len(rig.views)))]
+    ]  # from above, little ground hides behind the object
     enough = np.isfinite(steep[..., 0]).sum(0) >= 4
     better = _median_and_spread(steep[:, enough], np.isfinite(steep[:, enough, 0]).sum(0))
     median[enough], spread[enough] = better
@@ -66,15 +76,21 @@ def _median_and_spread(stack: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray,
 
 
 def _median(stack: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Median over axis 0 of (v, n, c) with NaN for unseen, `seen` (n,) values each; far faster than np.nanmedian."""
-    ordered = np.sort(stack, axis=0)                             # NaN sorts last
+    """Median over axis 0 of (v, n, c) with NaN for unseen, `seen` (n,) values each; far faster than
+    np.nanmedian.
+    """
+    ordered = np.sort(stack, axis=0)  # NaN sorts last
     return np.take_along_axis(ordered, np.maximum(seen - 1, 0)[None, :, None] // 2, 0)[0]
 
 
 def pixel_ground(view: View, rig: Rig, height: float, size) -> np.ndarray:
-    """Texture coordinates (h, w, 2) of where each pixel's ray meets the ground; NaN where it does not."""
+    """Texture coordinates (h, w, 2) of where each pixel's ray meets the ground; NaN where it does
+    not.
+    """
     w, h = size
-    u, v = np.meshgrid((np.arange(w) + 0.5) * view.width / w, (np.arange(h) + 0.5) * view.height / h)
+    u, v = np.meshgrid(
+        (np.arange(w) + 0.5) * view.width / w, (np.arange(h) + 0.5) * view.height / h
+    )
     o, d = view.rays(np.stack([u, v], -1))
     t = np.where(d[..., 1] < -1e-4, (height - o[..., 1]) / np.minimum(d[..., 1], -1e-4), np.nan)
     p = o + t[..., None] * d
@@ -87,7 +103,9 @@ def pixel_ground(view: View, rig: Rig, height: float, size) -> np.ndarray:
 def sphere_region(view: View, rig: Rig, size) -> np.ndarray:
     """Pixels (h, w) whose ray passes within 1.1 radii of the object's centre."""
     w, h = size
-    u, v = np.meshgrid((np.arange(w) + 0.5) * view.width / w, (np.arange(h) + 0.5) * view.height / h)
+    u, v = np.meshgrid(
+        (np.arange(w) + 0.5) * view.width / w, (np.arange(h) + 0.5) * view.height / h
+    )
     o, d = view.rays(np.stack([u, v], -1))
     to = rig.center - o
     along = (to * d).sum(-1)
@@ -95,7 +113,8 @@ def sphere_region(view: View, rig: Rig, size) -> np.ndarray:
 
 
 def footprint(rig: Rig, points: np.ndarray, cell: float, spread: np.ndarray) -> np.ndarray:
-    """Texels (t, t) of the ground below the object: no photo shows them bare, their median is the object's own colour.
+    """Texels (t, t) of the ground below the object: no photo shows them bare, their median is the
+    object's own colour.
 
     Told from bare ground between parts of the object by colours that change from view to view.
     """
@@ -106,12 +125,17 @@ def footprint(rig: Rig, points: np.ndarray, cell: float, spread: np.ndarray) -> 
     texel = 2 * EXTENT * rig.radius / TEXTURE
     out = grow(ndimage.binary_closing(out, iterations=int(np.ceil(cell / texel)) + 1), 2)
     bare = np.nanmedian(spread[~out]) if np.isfinite(spread[~out]).any() else 3.0
-    changing = cv2.medianBlur(np.nan_to_num(spread, nan=99).astype(np.float32), 5) > max(2.0 * bare, 5.0)
+    changing = cv2.medianBlur(np.nan_to_num(spread, nan=99).astype(np.float32), 5) > max(
+        2.0 * bare, 5.0
+    )
     return out & changing
 
 
-def evidence(view: View, rig: Rig, lab: np.ndarray, ground, spread, height: float, below=None) -> np.ndarray:
-    """Log-odds (h, w) in [-3, 3] that a pixel shows the object, from its difference to the bare ground.
+def evidence(
+    view: View, rig: Rig, lab: np.ndarray, ground, spread, height: float, below=None
+) -> np.ndarray:
+    """Log-odds (h, w) in [-3, 3] that a pixel shows the object, from its difference to the bare
+    ground.
 
     `below`: the footprint (t, t); a ray that ends there has most likely met the object.
     """
@@ -125,24 +149,32 @@ def evidence(view: View, rig: Rig, lab: np.ndarray, ground, spread, height: floa
     unknown = cv2.remap(hole.astype(np.float32), x, y, cv2.INTER_LINEAR) > 0
     known &= ~unknown
     difference = np.full(lab.shape[:2], np.inf, np.float32)
-    for dy in (-1, 0, 1):                                    # tolerate a pixel of misregistration
+    for dy in (-1, 0, 1):  # tolerate a pixel of misregistration
         for dx in (-1, 0, 1):
             shifted = np.roll(there, (dy, dx), (0, 1))
-            difference = np.minimum(difference, np.sqrt((((lab - shifted) * [0.7, 1.3, 1.3]) ** 2).sum(-1)))
+            difference = np.minimum(
+                difference, np.sqrt((((lab - shifted) * [0.7, 1.3, 1.3]) ** 2).sum(-1))
+            )
     inside = sphere_region(view, rig, size)
     outside = known & ~inside & (unsure < 20)
     threshold = 1.6 * np.percentile(difference[outside], 95) if outside.sum() > 500 else 25.0
     threshold = float(np.clip(threshold, 8, 40))
     odds = np.clip(3 * (difference - threshold) / threshold, -3, 3)
-    odds = odds / (1 + np.maximum(unsure - 6, 0) / 6)         # ground that changes between views says little
+    odds = odds / (
+        1 + np.maximum(unsure - 6, 0) / 6
+    )  # ground that changes between views says little
     if below is not None:
         under = cv2.remap(below.astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.5
         odds = np.where(under, np.maximum(odds, 0.6), odds)
-    return np.where(inside, np.where(known, cv2.blur(odds.astype(np.float32), (3, 3)), 0), -3).astype(np.float32)
+    return np.where(
+        inside, np.where(known, cv2.blur(odds.astype(np.float32), (3, 3)), 0), -3
+    ).astype(np.float32)
 
 
 def soft_hull(rig: Rig, odds: dict[str, np.ndarray], height: float, longest: int = 80):
-    """Largest connected set of cells whose mean log-odds over views is positive and few of whose views object."""
+    """Largest connected set of cells whose mean log-odds over views is positive and few of whose
+    views object.
+    """
     low, high = rig.center - rig.radius, rig.center + rig.radius
     low[1] = max(low[1], height)
     for _ in range(2):
@@ -172,7 +204,9 @@ def grow(mask: np.ndarray, pixels: int) -> np.ndarray:
 
 
 def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.ndarray:
-    """GrabCut of one photo: sure object inside the hull, sure background outside its surroundings."""
+    """GrabCut of one photo: sure object inside the hull, sure background outside its
+    surroundings.
+    """
     near, core = grow(hull, band), grow(hull, -band)
     if not core.any():
         return hull
@@ -182,10 +216,18 @@ def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.n
     state[hull & (odds > -2.0)] = cv2.GC_PR_FGD
     state[core & (odds > 0.3)] = cv2.GC_FGD
     rows, columns = np.where(grow(near, 3 * band))
-    box = np.s_[rows.min():rows.max() + 1, columns.min():columns.max() + 1]
+    box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     cut_state = np.ascontiguousarray(state[box])
     cv2.setRNGSeed(0)
-    cv2.grabCut(np.ascontiguousarray(lab8[box]), cut_state, None, np.zeros((1, 65)), np.zeros((1, 65)), 3, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(
+        np.ascontiguousarray(lab8[box]),
+        cut_state,
+        None,
+        np.zeros((1, 65)),
+        np.zeros((1, 65)),
+        3,
+        cv2.GC_INIT_WITH_MASK,
+    )
     out = np.zeros(hull.shape, bool)
     out[box] = (cut_state == cv2.GC_FGD) | (cut_state == cv2.GC_PR_FGD)
     return tidy(out)
@@ -194,7 +236,9 @@ def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.n
 def tidy(mask: np.ndarray) -> np.ndarray:
     """Smooth by two pixels, fill holes smaller than 3 % of the object, keep the large parts."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    mask = cv2.morphologyEx(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel)
+    mask = cv2.morphologyEx(
+        cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel
+    )
     for value in (0, 1):
         count, labels, stats, _ = cv2.connectedComponentsWithStats((mask == value).astype(np.uint8))
         area = stats[1:, cv2.CC_STAT_AREA]
@@ -205,37 +249,71 @@ def tidy(mask: np.ndarray) -> np.ndarray:
 
 
 def plane_masks(poses: Path, rig: Rig, settings: Masks, threads: int) -> tuple[dict, dict]:
-    """name -> mask (h, w) bool at the photos' size, and facts. InputError when there is no ground plane."""
+    """name -> mask (h, w) bool at the photos' size, and facts. InputError when there is no ground
+    plane.
+    """
     plane = rig.facts.get("plane")
     if plane is None:
-        raise InputError("no ground plane was found, so the object cannot be masked automatically", "masks",
-                         "put masks into the scene's folder masks/, or photograph on a textured table")
+        raise InputError(
+            "no ground plane was found, so the object cannot be masked automatically",
+            "masks",
+            "put masks into the scene's folder masks/, or photograph on a textured table",
+        )
     height = float(plane["offset"])
-    sizes = {v.name: (round(v.width * f), round(v.height * f)) for v in rig.views for f in [min(1, WORKING / max(v.width, v.height))]}
-    labs = {v.name: to_lab(poses / v.image, sizes[v.name]) for v in progress(rig.views, "photos to compare")}
+    sizes = {
+        v.name: (round(v.width * f), round(v.height * f))
+        for v in rig.views
+        for f in [min(1, WORKING / max(v.width, v.height))]
+    }
+    labs = {
+        v.name: to_lab(poses / v.image, sizes[v.name])
+        for v in progress(rig.views, "photos to compare")
+    }
     ground, spread = bare_ground(rig, labs, height)
-    odds = {v.name: evidence(v, rig, labs[v.name], ground, spread, height) for v in progress(rig.views, "difference to bare ground")}
+    odds = {
+        v.name: evidence(v, rig, labs[v.name], ground, spread, height)
+        for v in progress(rig.views, "difference to bare ground")
+    }
     points, cell = soft_hull(rig, odds, height)
     if not len(points):
-        raise InputError("nothing above the ground plane stands out in the photos", "masks",
-                         "put masks into the scene's folder masks/")
+        raise InputError(
+            "nothing above the ground plane stands out in the photos",
+            "masks",
+            "put masks into the scene's folder masks/",
+        )
     below = footprint(rig, points, cell, spread)
-    odds = {v.name: evidence(v, rig, labs[v.name], ground, spread, height, below) for v in progress(rig.views, "with the footprint")}
+    odds = {
+        v.name: evidence(v, rig, labs[v.name], ground, spread, height, below)
+        for v in progress(rig.views, "with the footprint")
+    }
     points, cell = soft_hull(rig, odds, height)
-    eight = {n: np.clip(lab * [2.55, 1, 1] + [0, 128, 128], 0, 255).astype(np.uint8) for n, lab in labs.items()}
+    eight = {
+        n: np.clip(lab * [2.55, 1, 1] + [0, 128, 128], 0, 255).astype(np.uint8)
+        for n, lab in labs.items()
+    }
     masks = {}
     for turn, band in ((1, 0.035), (2, 0.02)):
         hulls = {v.name: silhouette(v, points, cell, sizes[v.name]) for v in rig.views}
         width = {n: max(3, round(band * np.sqrt(h.sum()) * 1.5)) for n, h in hulls.items()}
         with ThreadPoolExecutor(threads) as pool:
             jobs = {n: pool.submit(cut, eight[n], hulls[n], odds[n], width[n]) for n in hulls}
-            masks = {n: jobs[n].result() for n in progress(list(jobs), f"cut along edges, pass {turn}")}
+            masks = {
+                n: jobs[n].result() for n in progress(list(jobs), f"cut along edges, pass {turn}")
+            }
         points, cell = hull_points(rig, masks, 96, 0.15)
         if not len(points):
-            raise InputError("the masks of the photos contradict each other", "masks", "put masks into the scene's folder masks/")
+            raise InputError(
+                "the masks of the photos contradict each other",
+                "masks",
+                "put masks into the scene's folder masks/",
+            )
     out = {}
     for v in rig.views:
         kept = masks[v.name] & grow(silhouette(v, points, cell, sizes[v.name]), 4)
-        soft = cv2.resize(kept.astype(np.float32), (v.width, v.height), interpolation=cv2.INTER_CUBIC)
+        soft = cv2.resize(
+            kept.astype(np.float32), (v.width, v.height), interpolation=cv2.INTER_CUBIC
+        )
         out[v.name] = soft > 0.5
-    return out, {"why": "no masks came with the photos; difference to the bare ground plane, GrabCut, hull"}
+    return out, {
+        "why": "no masks came with the photos; difference to the bare ground plane, GrabCut, hull"
+    }

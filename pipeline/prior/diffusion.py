@@ -5,24 +5,33 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ..errors import InputError, nearest
-from .code import Code
-from .network import LABELS, Denoiser
+from pipeline.base.errors import InputError, nearest
+from pipeline.prior.network import LABELS, Denoiser
+from pipeline.prior.value_code import Code
 
 
 class DiffusionPrior:
-    """Denoiser over codes of (height, 2 height) maps; see the package docstring for the protocol."""
+    """Denoiser over codes of (height, 2 height) maps; see the package docstring for the
+    protocol.
+    """
 
     def __init__(self, model: Denoiser, code: Code, height: int, shares: dict[str, float]):
-        self.model, self.code, self.height, self.width = model.eval().requires_grad_(False), code, height, 2 * height
-        self.shares = shares                                # of the classes among the measured maps trained on; {}: not known
+        self.model, self.code, self.height, self.width = (
+            model.eval().requires_grad_(False),
+            code,
+            height,
+            2 * height,
+        )
+        self.shares = shares  # of the classes among the measured maps trained on; {}: not known
 
     @classmethod
-    def from_tensors(cls, tensors: dict, facts: dict) -> "DiffusionPrior":
-        """From what pipeline.prior.export wrote."""
+    def from_tensors(cls, tensors: dict, facts: dict) -> DiffusionPrior:
+        """From what pipeline.prior.training.export wrote."""
         model = Denoiser(**facts["network"])
         model.load_state_dict(tensors)
-        return cls(model, Code(facts["mean"], facts["std"]), facts["height"], facts.get("shares", {}))
+        return cls(
+            model, Code(facts["mean"], facts["std"]), facts["height"], facts.get("shares", {})
+        )
 
     @property
     def log_spread(self) -> float:
@@ -33,13 +42,21 @@ class DiffusionPrior:
         if label is None:
             return len(LABELS)
         if label not in LABELS:
-            raise InputError(f"the prior has no class '{label}'", "sample.label", nearest(label, LABELS))
+            raise InputError(
+                f"the prior has no class '{label}'", "sample.label", nearest(label, LABELS)
+            )
         return LABELS.index(label)
 
-    def denoise(self, x: torch.Tensor, sigma: float, label: str | list[str] | None = None) -> torch.Tensor:
+    def denoise(
+        self, x: torch.Tensor, sigma: float, label: str | list[str] | None = None
+    ) -> torch.Tensor:
         """E[x_0 | x_0 + sigma n = x] for codes (n, 3, h, w), of one class or of one for each."""
         labels = label if isinstance(label, list) else [label] * len(x)
-        return self.model(x, torch.full((len(x),), float(sigma)), torch.tensor([self.label_index(v) for v in labels]))
+        return self.model(
+            x,
+            torch.full((len(x),), float(sigma)),
+            torch.tensor([self.label_index(v) for v in labels]),
+        )
 
     def decode(self, x: torch.Tensor) -> torch.Tensor:
         return self.code.decode(x)

@@ -1,7 +1,9 @@
-"""Denoiser D(x; sigma) over lat-long codes: a compact U-Net in EDM preconditioning (Karras et al. 2022, Table 1).
+"""Denoiser D(x; sigma) over lat-long codes: a compact U-Net in EDM preconditioning (Karras et al.
+2022, Table 1).
 
-Convolutions wrap around in longitude and repeat the last row at the poles, so the seam is no special place; the sine of
-latitude is an input channel because up and down differ. Most channels live at low resolution, attention at the lowest.
+Convolutions wrap around in longitude and repeat the last row at the poles, so the seam is no
+special place; the sine of latitude is an input channel because up and down differ. Most channels
+live at low resolution, attention at the lowest.
 """
 
 from __future__ import annotations
@@ -13,8 +15,8 @@ import torch.nn.functional as F
 from torch import nn
 
 SIGMA_DATA = 0.5
-LABELS = ("indoor", "outdoor", "studio", "night")       # index len(LABELS) stands for "no label"
-KINDS = len(LABELS) + 1                                 # a map that is made, not measured, adds KINDS to its index
+LABELS = ("indoor", "outdoor", "studio", "night")  # index len(LABELS) stands for "no label"
+KINDS = len(LABELS) + 1  # a map that is made, not measured, adds KINDS to its index
 
 
 class Conv(nn.Conv2d):
@@ -24,11 +26,15 @@ class Conv(nn.Conv2d):
         super().__init__(a, b, 3)
 
     def forward(self, x):
-        return super().forward(F.pad(F.pad(x, (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1), mode="replicate"))
+        return super().forward(
+            F.pad(F.pad(x, (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1), mode="replicate")
+        )
 
 
 class Block(nn.Module):
-    """Residual block: norm, SiLU, conv, twice, with scale and shift from the noise embedding between."""
+    """Residual block: norm, SiLU, conv, twice, with scale and shift from the noise embedding
+    between.
+    """
 
     def __init__(self, a: int, b: int, embedding: int):
         super().__init__()
@@ -56,22 +62,32 @@ class Attention(nn.Module):
 
     def forward(self, x):
         n, c, h, w = x.shape
-        q, k, v = self.qkv(self.norm(x)).reshape(n, 3, self.heads, c // self.heads, h * w).transpose(-1, -2).unbind(1)
+        q, k, v = (
+            self.qkv(self.norm(x))
+            .reshape(n, 3, self.heads, c // self.heads, h * w)
+            .transpose(-1, -2)
+            .unbind(1)
+        )
         y = F.scaled_dot_product_attention(q, k, v).transpose(-1, -2).reshape(n, c, h, w)
         return x + self.out(y)
 
 
 class UNet(nn.Module):
-    """F(x; c_noise, label) on (n, 3, h, w); `channels` per level, each level half the size of the one before.
+    """F(x; c_noise, label) on (n, 3, h, w); `channels` per level, each level half the size of the
+    one before.
 
-    With sources = 2 the label also says whether a map was measured or made (procedural, or expanded from LDR): the made ones
-    teach the shape of scenes, and samples are drawn as measured ones.
+    With sources = 2 the label also says whether a map was measured or made (procedural, or expanded
+    from LDR): the made ones teach the shape of scenes, and samples are drawn as measured ones.
     """
 
-    def __init__(self, channels=(24, 48, 96), blocks=(1, 2, 2), embedding: int = 96, sources: int = 1):
+    def __init__(
+        self, channels=(24, 48, 96), blocks=(1, 2, 2), embedding: int = 96, sources: int = 1
+    ):
         super().__init__()
         self.embedding = embedding
-        self.embed = nn.Sequential(nn.Linear(embedding, embedding), nn.SiLU(), nn.Linear(embedding, embedding))
+        self.embed = nn.Sequential(
+            nn.Linear(embedding, embedding), nn.SiLU(), nn.Linear(embedding, embedding)
+        )
         self.label = nn.Embedding(sources * KINDS, embedding)
         self.enter = Conv(4, channels[0])
         self.down, self.up, c, skips = nn.ModuleList(), nn.ModuleList(), channels[0], []
@@ -89,7 +105,9 @@ class UNet(nn.Module):
 
     def forward(self, x, noise, label):
         n, _, h, w = x.shape
-        frequency = torch.exp(torch.linspace(0, math.log(1000), self.embedding // 2, device=x.device))
+        frequency = torch.exp(
+            torch.linspace(0, math.log(1000), self.embedding // 2, device=x.device)
+        )
         phase = noise[:, None] * frequency
         e = F.silu(self.embed(torch.cat([phase.sin(), phase.cos()], 1)) + self.label(label))
         sine = torch.sin(math.pi * (0.5 - (torch.arange(h, device=x.device) + 0.5) / h))

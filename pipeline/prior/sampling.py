@@ -12,25 +12,42 @@ import cv2
 import numpy as np
 import torch
 
-from ..errors import run_stage
-from ..images import to_srgb8, write_png
-from ..progress import Bar
-from . import load_prior
-from .gaussian import GaussianPrior, translated
+from pipeline.base.errors import run_stage
+from pipeline.base.images import to_srgb8, write_png
+from pipeline.base.progress import Bar
+from pipeline.prior.gaussian import GaussianPrior, translated
+from pipeline.prior.load import load_prior
 
-FIRST_SIGMA = 20.0      # of the Gaussian start; the largest modes of natural light have twice that deviation and show through
-GUIDANCE = 2.5          # how far beyond the unlabelled mean; with the next four, chosen on 48 draws of another seed than the judged ones
-GUIDED_FROM, GUIDED_TO = 0.2, 6.0       # noise levels
+# of the Gaussian start; the largest modes of natural light have twice that deviation and show
+# through
+FIRST_SIGMA = 20.0
+# how far beyond the unlabelled mean; with the next four, chosen on 48 draws of another seed than
+# the judged ones
+GUIDANCE = 2.5
+GUIDED_FROM, GUIDED_TO = 0.2, 6.0  # noise levels
 CHURN, EXCESS = 0.5, 1.02
 
 
-def reverse_diffusion(prior, z: torch.Tensor, rho: float, steps: int, label, rng, noise, end: float = 0.01, done=None,
-                      churn: float = 1.0, excess: float = 1.0) -> torch.Tensor:
-    """x | z, z = x + rho n: from noise level rho to none, `steps` network calls; codes (n, 3, h, w).
+def reverse_diffusion(
+    prior,
+    z: torch.Tensor,
+    rho: float,
+    steps: int,
+    label,
+    rng,
+    noise,
+    end: float = 0.01,
+    done=None,
+    churn: float = 1.0,
+    excess: float = 1.0,
+) -> torch.Tensor:
+    """x | z, z = x + rho n: from noise level rho to none, `steps` network calls; codes (n, 3, h,
+    w).
 
-    SDE-DPM-Solver++(2M) of Lu et al. (2022) in EDM's variance-exploding form, each call of the network under a random roll of
-    the columns (DPI, Eq. 19). churn 0 is the noise-free ODE, 1 the SDE; `excess` multiplies the fresh noise (S_noise of Karras et al. 2022).
-    `done` is called after every step.
+    SDE-DPM-Solver++(2M) of Lu et al. (2022) in EDM's variance-exploding form, each call of the
+    network under a random roll of the columns (DPI, Eq. 19). churn 0 is the noise-free ODE, 1 the
+    SDE; `excess` multiplies the fresh noise (S_noise of Karras et al. 2022). `done` is called after
+    every step.
     """
     levels = np.append(np.geomspace(rho, min(end, 0.3 * rho), steps), 0.0)
     x, before, h_before = z, None, 0.0
@@ -50,9 +67,10 @@ def reverse_diffusion(prior, z: torch.Tensor, rho: float, steps: int, label, rng
 
 
 class Guided:
-    """A prior whose network's mean is led away from the unlabelled one: classifier-free guidance (Ho and Salimans 2022) at middle
-    noise levels only (Kynkäänniemi et al. 2024). It gives back the contrast that a small network's samples lack; for draws of the
-    prior alone, not for posteriors, which it would make too sure.
+    """A prior whose network's mean is led away from the unlabelled one: classifier-free guidance
+    (Ho and Salimans 2022) at middle noise levels only (Kynkäänniemi et al. 2024). It gives back the
+    contrast that a small network's samples lack; for draws of the prior alone, not for posteriors,
+    which it would make too sure.
     """
 
     def __init__(self, prior):
@@ -70,31 +88,58 @@ def classes(shares: dict[str, float], count: int, rng: np.random.Generator) -> l
     """`count` classes as near to their shares as whole numbers get, in random order."""
     exact = count * np.array(list(shares.values()))
     numbers = np.floor(exact).astype(int)
-    numbers[np.argsort(numbers - exact, kind="stable")[:count - numbers.sum()]] += 1
+    numbers[np.argsort(numbers - exact, kind="stable")[: count - numbers.sum()]] += 1
     return [str(name) for name in rng.permutation(np.repeat(list(shares), numbers))]
 
 
 def first_noise(prior, gaussian: GaussianPrior, count: int, noise: torch.Generator) -> torch.Tensor:
-    """Codes (count, 3, h, w) seen through noise of FIRST_SIGMA, where a Gaussian describes them well enough.
+    """Codes (count, 3, h, w) seen through noise of FIRST_SIGMA, where a Gaussian describes them
+    well enough.
 
-    White noise alone would have to be of deviation 200 to drown the largest modes, a level that training hardly visits.
+    White noise alone would have to be of deviation 200 to drown the largest modes, a level that
+    training hardly visits.
     """
     code = translated(gaussian.sample(count, noise), gaussian, prior)
     return code + FIRST_SIGMA * torch.randn(code.shape, generator=noise)
 
 
-def draw(prior, count: int, steps: int, seed: int, label: str | None = None, batch: int = 16, start: str = "gaussian_small") -> torch.Tensor:
-    """`count` codes (count, 3, h, w) of the prior alone, deterministic in `seed` and `count`; without `label` the classes come in the shares
-    they have among the maps trained on, where those had classes. `start`: Gaussian prior of the first noise.
+def draw(
+    prior,
+    count: int,
+    steps: int,
+    seed: int,
+    label: str | None = None,
+    batch: int = 16,
+    start: str = "gaussian_small",
+) -> torch.Tensor:
+    """`count` codes (count, 3, h, w) of the prior alone, deterministic in `seed` and `count`;
+    without `label` the classes come in the shares they have among the maps trained on, where those
+    had classes. `start`: Gaussian prior of the first noise.
     """
     noise, rng, out = torch.Generator().manual_seed(seed), np.random.default_rng(seed), []
-    gaussian, labels = load_prior(start), classes(prior.shares, count, rng) if prior.shares and not label else [label] * count
+    gaussian, labels = (
+        load_prior(start),
+        classes(prior.shares, count, rng) if prior.shares and not label else [label] * count,
+    )
     guided = prior if None in labels else Guided(prior)
     with torch.no_grad(), Bar("prior samples", steps * -(-count // batch)) as bar:
         for first in range(0, count, batch):
-            part = labels[first:first + batch]
+            part = labels[first : first + batch]
             z = first_noise(prior, gaussian, len(part), noise)
-            out.append(reverse_diffusion(guided, z, FIRST_SIGMA, steps, part, rng, noise, done=bar.step, churn=CHURN, excess=EXCESS))
+            out.append(
+                reverse_diffusion(
+                    guided,
+                    z,
+                    FIRST_SIGMA,
+                    steps,
+                    part,
+                    rng,
+                    noise,
+                    done=bar.step,
+                    churn=CHURN,
+                    excess=EXCESS,
+                )
+            )
     return torch.cat(out)
 
 
@@ -105,22 +150,33 @@ def lights(prior, codes: torch.Tensor) -> np.ndarray:
 
 def sheet(maps: np.ndarray, columns: int = 8, width: int = 192) -> np.ndarray:
     """Tone-mapped contact sheet (h, w, 3) uint8 of lights (n, h, w, 3)."""
-    tiles = [cv2.resize(to_srgb8(m * 0.35), (width, width // 2), interpolation=cv2.INTER_NEAREST) for m in maps]
+    tiles = [
+        cv2.resize(to_srgb8(m * 0.35), (width, width // 2), interpolation=cv2.INTER_NEAREST)
+        for m in maps
+    ]
     tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
-    return np.concatenate([np.concatenate(tiles[k:k + columns], 1) for k in range(0, len(tiles), columns)])
+    return np.concatenate(
+        [np.concatenate(tiles[k : k + columns], 1) for k in range(0, len(tiles), columns)]
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--prior", default="prior_base")
     parser.add_argument("--count", type=int, default=64)
     parser.add_argument("--steps", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--label", help="indoor, outdoor, studio or night; none: as often as in the data")
+    parser.add_argument(
+        "--label", help="indoor, outdoor, studio or night; none: as often as in the data"
+    )
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     prior = load_prior(args.prior)
-    write_png(args.out, sheet(lights(prior, draw(prior, args.count, args.steps, args.seed, args.label))))
+    write_png(
+        args.out, sheet(lights(prior, draw(prior, args.count, args.steps, args.seed, args.label)))
+    )
 
 
 if __name__ == "__main__":

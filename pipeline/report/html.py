@@ -6,7 +6,7 @@ import base64
 from html import escape
 from pathlib import Path
 
-from ..config import Scene
+from pipeline.base.config import Scene
 
 STYLE = """
 :root{color-scheme:light dark;--bg:#f6f5f2;--card:#fff;--ink:#1d1f23;--soft:#62666e;--line:#dcdad4;--accent:#b4540a}
@@ -28,55 +28,102 @@ table{border-collapse:collapse;width:100%}td,th{text-align:left;padding:4px 10px
 
 def image(data: bytes, caption: str, kind: str = "") -> str:
     mime = "png" if data[:4] == b"\x89PNG" else "jpeg"
-    return (f'<figure{kind}><img loading="lazy" alt="{escape(caption)}" src="data:image/{mime};base64,'
-            f'{base64.b64encode(data).decode()}"><figcaption>{escape(caption)}</figcaption></figure>')
+    return (
+        f'<figure{kind}><img loading="lazy" alt="{escape(caption)}" src="data:image/{mime};base64,'
+        f'{base64.b64encode(data).decode()}"><figcaption>{escape(caption)}</figcaption></figure>'
+    )
 
 
 def warnings(facts: dict) -> list[str]:
     out = [f"{stage}: {w}" for stage, f in facts.items() for w in f.get("warnings", [])]
     lost = facts["poses"].get("unregistered") or []
     if lost:
-        out.append(f"poses: {len(lost)} of {facts['poses']['photos']} photos could not be placed and are not used: {', '.join(lost[:10])}")
+        out.append(
+            f"poses: {len(lost)} of {facts['poses']['photos']} photos could not be placed and are not used: {', '.join(lost[:10])}"
+        )
     if facts["capture"].get("clipped_share", 0) > 0.02:
-        out.append(f"capture: {100 * facts['capture']['clipped_share']:.0f} % of the pixels are saturated; there the photos only say \"at least this bright\"")
+        out.append(
+            f'capture: {100 * facts["capture"]["clipped_share"]:.0f} % of the pixels are saturated; there the photos only say "at least this bright"'
+        )
     bare = facts["mesh"].get("mask_share_without_surface", 0)
     if bare > 0.03:
-        out.append(f"mesh: {100 * bare:.0f} % of the automatic masks' pixels show no surface of the object (mostly ground); the final masks leave them out")
+        out.append(
+            f"mesh: {100 * bare:.0f} % of the automatic masks' pixels show no surface of the object (mostly ground); the final masks leave them out"
+        )
     return out
 
 
 def summary(scene: Scene, facts: dict) -> str:
     total = sum(f.get("seconds", 0) for f in facts.values())
-    scores = [f["held_out_psnr"] for s, f in facts.items() if s.startswith("refine") and f.get("held_out_psnr") is not None]
-    items = [("preset", scene.preset), ("samples", str(scene.samples)),
-             ("photos placed", f"{facts['poses']['registered']} of {facts['poses']['photos']}"),
-             ("surface", facts["mesh"]["method"]), ("sum of stage times", f"{total / 60:.1f} min")]
+    scores = [
+        f["held_out_psnr"]
+        for s, f in facts.items()
+        if s.startswith("refine") and f.get("held_out_psnr") is not None
+    ]
+    items = [
+        ("preset", scene.preset),
+        ("samples", str(scene.samples)),
+        ("photos placed", f"{facts['poses']['registered']} of {facts['poses']['photos']}"),
+        ("surface", facts["mesh"]["method"]),
+        ("sum of stage times", f"{total / 60:.1f} min"),
+    ]
     if scores:
         items.insert(3, ("held-out views", f"{sum(scores) / len(scores):.1f} dB PSNR"))
-    return "<ul class=facts>" + "".join(f"<li><span class=soft>{escape(a)}</span><b>{escape(b)}</b></li>" for a, b in items) + "</ul>"
+    return (
+        "<ul class=facts>"
+        + "".join(
+            f"<li><span class=soft>{escape(a)}</span><b>{escape(b)}</b></li>" for a, b in items
+        )
+        + "</ul>"
+    )
 
 
 def sample_section(k: int, s: dict, usd: Path) -> str:
-    lights = "".join(image(data, f"light, {name}", f' class="light e{i}"') for i, (data, name) in
-                     enumerate(zip(s["lights"], ("dark exposure: sun and lamps", "middle exposure", "bright exposure: shadows"))))
-    rest = image(s["render"], f"rendered, {s['psnr']:.1f} dB PSNR in this view") + image(s["error"], "error, 0 to 0.25 in sRGB") + \
-        image(s["relight"], "under another light") + image(s["base_color"], "base colour") + \
-        image(s["roughness"], "roughness, white = 1") + image(s["metallic"], "metallic, white = 1")
-    return (f'<section class=sample><h3>Sample {k} <span class=soft>variant sample_{k} of {escape(usd.name)}</span></h3>'
-            f'<div class=grid>{lights}{rest}</div></section>')
+    lights = "".join(
+        image(data, f"light, {name}", f' class="light e{i}"')
+        for i, (data, name) in enumerate(
+            zip(
+                s["lights"],
+                ("dark exposure: sun and lamps", "middle exposure", "bright exposure: shadows"),
+            )
+        )
+    )
+    rest = (
+        image(s["render"], f"rendered, {s['psnr']:.1f} dB PSNR in this view")
+        + image(s["error"], "error, 0 to 0.25 in sRGB")
+        + image(s["relight"], "under another light")
+        + image(s["base_color"], "base colour")
+        + image(s["roughness"], "roughness, white = 1")
+        + image(s["metallic"], "metallic, white = 1")
+    )
+    return (
+        f"<section class=sample><h3>Sample {k} <span class=soft>variant sample_{k} of {escape(usd.name)}</span></h3>"
+        f"<div class=grid>{lights}{rest}</div></section>"
+    )
 
 
 def timings(facts: dict) -> str:
-    rows = "".join(f"<tr><td>{escape(s)}<td class=n>{f.get('seconds', 0):.1f}<td class=n>{f.get('peak_gib', 0):.2f}"
-                   f"<td class=soft>{escape(str(f.get('why', f.get('up', ''))))}" for s, f in facts.items())
+    rows = "".join(
+        f"<tr><td>{escape(s)}<td class=n>{f.get('seconds', 0):.1f}<td class=n>{f.get('peak_gib', 0):.2f}"
+        f"<td class=soft>{escape(str(f.get('why', f.get('up', ''))))}"
+        for s, f in facts.items()
+    )
     return f"<div class=scroll><table><tr><th>stage<th class=n>seconds<th class=n>peak GiB<th>remark{rows}</table></div>"
 
 
-def page(usd: Path, scene: Scene, facts: dict, pictures: dict, samples: list[dict], view: str, held: bool) -> str:
+def page(
+    usd: Path, scene: Scene, facts: dict, pictures: dict, samples: list[dict], view: str, held: bool
+) -> str:
     """The whole page as one string."""
     notes = "".join(f"<p class=warn>{escape(w)}</p>" for w in warnings(facts))
-    spread = "".join(image(data, f"standard deviation of {name}") for name, data in pictures["spread"].items())
-    spread = f"<div class=grid>{spread}</div>" if spread else "<p>One sample shows no spread: ask for more with <code>samples: N</code>.</p>"
+    spread = "".join(
+        image(data, f"standard deviation of {name}") for name, data in pictures["spread"].items()
+    )
+    spread = (
+        f"<div class=grid>{spread}</div>"
+        if spread
+        else "<p>One sample shows no spread: ask for more with <code>samples: N</code>.</p>"
+    )
     kind = "held out: no fit has seen it" if held else "used in the fit"
     return f"""<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width,initial-scale=1">
 <title>{escape(usd.stem)}: Heliograph report</title><style>{STYLE}</style><main>

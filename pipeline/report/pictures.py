@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from ..cameras import Rig, View
-from ..config import Scene
-from ..envmap import directions, mean_radiance, resample_area
-from ..images import linear_to_srgb, read_exr, read_png, to_srgb8
-from ..metrics import psnr, render_twice, render_view
-from ..optics import Explanation, Renderer
+from pipeline.base.config import Scene
+from pipeline.base.images import linear_to_srgb, read_exr, read_png, to_srgb8
+from pipeline.geometry.cameras import Rig, View
+from pipeline.render.envmap import directions, mean_radiance, resample_area
+from pipeline.render.metrics import psnr, render_twice, render_view
+from pipeline.render.renderer import Explanation, Renderer
 
 HEAT = cv2.COLORMAP_INFERNO
 
@@ -22,24 +22,35 @@ HEAT = cv2.COLORMAP_INFERNO
 def encode(pixels: np.ndarray, kind: str = "JPEG") -> bytes:
     """uint8 picture as JPEG (quality 88) or PNG bytes."""
     buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels, np.uint8)).save(buffer, kind, **({"quality": 88} if kind == "JPEG" else {}))
+    Image.fromarray(np.ascontiguousarray(pixels, np.uint8)).save(
+        buffer, kind, **({"quality": 88} if kind == "JPEG" else {})
+    )
     return buffer.getvalue()
 
 
 def heat(values: np.ndarray, top: float) -> np.ndarray:
     """Scalar map (h, w) in [0, top] as colours."""
-    return cv2.cvtColor(cv2.applyColorMap((np.clip(values / top, 0, 1) * 255).astype(np.uint8), HEAT), cv2.COLOR_BGR2RGB)
+    return cv2.cvtColor(
+        cv2.applyColorMap((np.clip(values / top, 0, 1) * 255).astype(np.uint8), HEAT),
+        cv2.COLOR_BGR2RGB,
+    )
 
 
 def contact_sheet(work: Path, rig: Rig, height: int = 150, limit: int = 18) -> bytes:
     tiles = []
     for v in rig.views[:: max(1, -(-len(rig.views) // limit))]:
         photo = to_srgb8(read_exr(work / "poses" / v.image))
-        tiles.append(cv2.resize(photo, (round(v.width * height / v.height), height), interpolation=cv2.INTER_AREA))
+        tiles.append(
+            cv2.resize(
+                photo, (round(v.width * height / v.height), height), interpolation=cv2.INTER_AREA
+            )
+        )
     width = max(t.shape[1] for t in tiles)
     tiles = [np.pad(t, ((0, 0), (0, width - t.shape[1]), (0, 0))) for t in tiles]
     tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % 6)
-    return encode(np.concatenate([np.concatenate(tiles[k:k + 6], 1) for k in range(0, len(tiles), 6)]))
+    return encode(
+        np.concatenate([np.concatenate(tiles[k : k + 6], 1) for k in range(0, len(tiles), 6)])
+    )
 
 
 def show_light(light: np.ndarray, exposure: float, width: int = 512) -> np.ndarray:
@@ -48,11 +59,15 @@ def show_light(light: np.ndarray, exposure: float, width: int = 512) -> np.ndarr
 
 
 def evening_light(height: int) -> np.ndarray:
-    """A light that no photo was taken under: low warm sun, blue sky, dark ground. Mean radiance 1, lat-long (h, 2h, 3)."""
+    """A light that no photo was taken under: low warm sun, blue sky, dark ground. Mean radiance 1,
+    lat-long (h, 2h, 3).
+    """
     d = directions(4 * height, 8 * height)
     sun = np.array([0.75, 0.35, 0.56]) / np.linalg.norm([0.75, 0.35, 0.56])
     sky = np.where(d[..., 1:2] > 0, np.array([0.35, 0.5, 0.9]), np.array([0.10, 0.08, 0.06]))
-    light = sky + 60 * np.exp((d @ sun - 1) / np.radians(5) ** 2)[..., None] * np.array([1.0, 0.62, 0.3])
+    light = sky + 60 * np.exp((d @ sun - 1) / np.radians(5) ** 2)[..., None] * np.array(
+        [1.0, 0.62, 0.3]
+    )
     light = resample_area(light.astype(np.float32), height, 2 * height)
     return light / mean_radiance(light).mean()
 
@@ -63,22 +78,36 @@ class Painter:
     def __init__(self, work: Path, view: View, scene: Scene):
         self.work, self.scene = work, scene
         self.view = view.scaled(min(1.0, scene.report.relight_size * 2 / view.width))
-        self.photo = cv2.resize(read_exr(work / "poses" / view.image), (self.view.width, self.view.height), interpolation=cv2.INTER_AREA)
+        self.photo = cv2.resize(
+            read_exr(work / "poses" / view.image),
+            (self.view.width, self.view.height),
+            interpolation=cv2.INTER_AREA,
+        )
         mask = read_png(work / "mesh" / "masks" / f"{view.name}.png")
-        self.mask = cv2.resize(mask, (self.view.width, self.view.height), interpolation=cv2.INTER_AREA) > 250
+        self.mask = (
+            cv2.resize(mask, (self.view.width, self.view.height), interpolation=cv2.INTER_AREA)
+            > 250
+        )
         self.box = self._crop()
         self.renderers: dict = {}
 
     def _crop(self):
         """The part of the picture that holds the object, with a margin."""
-        rows, columns = np.where(self.mask) if self.mask.any() else np.where(np.ones_like(self.mask))
+        rows, columns = (
+            np.where(self.mask) if self.mask.any() else np.where(np.ones_like(self.mask))
+        )
         margin = 12
-        return np.s_[max(rows.min() - margin, 0):rows.max() + margin, max(columns.min() - margin, 0):columns.max() + margin]
+        return np.s_[
+            max(rows.min() - margin, 0) : rows.max() + margin,
+            max(columns.min() - margin, 0) : columns.max() + margin,
+        ]
 
     def renderer(self, x: Explanation) -> Renderer:
         key = (x.base_color.shape[0], x.light.shape[0])
         if key not in self.renderers:
-            self.renderers[key] = Renderer(self.work / "atlas" / "mesh_uv.ply", *key, self.scene.render.max_depth)
+            self.renderers[key] = Renderer(
+                self.work / "atlas" / "mesh_uv.ply", *key, self.scene.render.max_depth
+            )
         return self.renderers[key]
 
     def photo_jpeg(self) -> bytes:
@@ -86,30 +115,53 @@ class Painter:
 
     def sample(self, x: Explanation) -> dict:
         """All pictures of one sample as bytes, and its PSNR in this view."""
-        halves = render_twice(self.renderer(x), x, self.view, np.ones_like(self.mask, bool), self.scene.report.spp)
+        halves = render_twice(
+            self.renderer(x), x, self.view, np.ones_like(self.mask, bool), self.scene.report.spp
+        )
         picture = halves.mean(0)
         error = np.abs(linear_to_srgb(picture) - linear_to_srgb(self.photo)).mean(-1) * self.mask
         level = float(mean_radiance(x.light).mean())
-        relight = Explanation(evening_light(x.light.shape[0]) * level, x.base_color, x.roughness, x.metallic)
+        relight = Explanation(
+            evening_light(x.light.shape[0]) * level, x.base_color, x.roughness, x.metallic
+        )
         other = render_view(self.renderer(x), relight, self.view, self.scene.report.spp)
         shrink = lambda m: cv2.resize(m, (384, 384), interpolation=cv2.INTER_AREA)
         grey = lambda m: encode((shrink(np.clip(m, 0, 1)) * 255).astype(np.uint8))
-        return {"lights": [encode(show_light(x.light, e / level)) for e in (0.08, 0.4, 2.0)],
-                "base_color": encode(to_srgb8(shrink(x.base_color))), "roughness": grey(x.roughness), "metallic": grey(x.metallic),
-                "render": encode(to_srgb8(picture)[self.box]), "error": encode(heat(error, 0.25)[self.box]),
-                "relight": encode(to_srgb8(other)[self.box]), "psnr": psnr(halves[0], self.photo, self.mask, halves[1]),
-                "mean_radiance": level, "mean_base_color": float(x.base_color.mean())}
+        return {
+            "lights": [encode(show_light(x.light, e / level)) for e in (0.08, 0.4, 2.0)],
+            "base_color": encode(to_srgb8(shrink(x.base_color))),
+            "roughness": grey(x.roughness),
+            "metallic": grey(x.metallic),
+            "render": encode(to_srgb8(picture)[self.box]),
+            "error": encode(heat(error, 0.25)[self.box]),
+            "relight": encode(to_srgb8(other)[self.box]),
+            "psnr": psnr(halves[0], self.photo, self.mask, halves[1]),
+            "mean_radiance": level,
+            "mean_base_color": float(x.base_color.mean()),
+        }
 
     def spread(self, samples: list[Explanation]) -> dict[str, bytes]:
-        """Standard deviation over samples of each map and of the log light; empty for a single sample."""
+        """Standard deviation over samples of each map and of the log light; empty for a single
+        sample.
+        """
         if len(samples) < 2:
             return {}
         over = lambda f: np.std([f(x) for x in samples], axis=0)
-        shrink = lambda m: cv2.resize(m.astype(np.float32), (384, 384), interpolation=cv2.INTER_AREA)
+        shrink = lambda m: cv2.resize(
+            m.astype(np.float32), (384, 384), interpolation=cv2.INTER_AREA
+        )
         color = over(lambda x: linear_to_srgb(x.base_color)).mean(-1)
         light = over(lambda x: np.log(np.maximum(x.light, 1e-4) / x.light.mean())).mean(-1)
-        return {"base colour (0 to 0.2, sRGB)": encode(heat(shrink(color), 0.2)),
-                "roughness (0 to 0.3)": encode(heat(shrink(over(lambda x: x.roughness)), 0.3)),
-                "metallic (0 to 0.3)": encode(heat(shrink(over(lambda x: x.metallic)), 0.3)),
-                "light (log radiance, 0 to 2)": encode(heat(cv2.resize(light.astype(np.float32), (512, 256),
-                                                                        interpolation=cv2.INTER_NEAREST), 2.0))}
+        return {
+            "base colour (0 to 0.2, sRGB)": encode(heat(shrink(color), 0.2)),
+            "roughness (0 to 0.3)": encode(heat(shrink(over(lambda x: x.roughness)), 0.3)),
+            "metallic (0 to 0.3)": encode(heat(shrink(over(lambda x: x.metallic)), 0.3)),
+            "light (log radiance, 0 to 2)": encode(
+                heat(
+                    cv2.resize(
+                        light.astype(np.float32), (512, 256), interpolation=cv2.INTER_NEAREST
+                    ),
+                    2.0,
+                )
+            ),
+        }

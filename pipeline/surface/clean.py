@@ -6,9 +6,9 @@ import numpy as np
 from scipy import ndimage
 from skimage.measure import marching_cubes
 
-from ..errors import InputError
-from ..mesh_io import Mesh, vertex_normals
-from ..voxels import Grid
+from pipeline.base.errors import InputError
+from pipeline.geometry.mesh_io import Mesh, vertex_normals
+from pipeline.geometry.voxels import Grid
 
 
 def largest_solid(field: np.ndarray, share: float = 0.05) -> np.ndarray:
@@ -20,7 +20,11 @@ def largest_solid(field: np.ndarray, share: float = 0.05) -> np.ndarray:
     sizes[0] = 0
     field = np.where((labels > 0) & (sizes[labels] < share * sizes.max()), -0.5, field)
     empty, count = ndimage.label(field <= 0)
-    outside = np.unique(np.concatenate([empty[[0, -1]].ravel(), empty[:, [0, -1]].ravel(), empty[:, :, [0, -1]].ravel()]))
+    outside = np.unique(
+        np.concatenate(
+            [empty[[0, -1]].ravel(), empty[:, [0, -1]].ravel(), empty[:, :, [0, -1]].ravel()]
+        )
+    )
     return np.where((empty > 0) & ~np.isin(empty, outside), 0.5, field)
 
 
@@ -28,22 +32,34 @@ def to_mesh(field: np.ndarray, grid: Grid) -> Mesh:
     """Marching cubes of the zero level (always closed: the field is padded with outside)."""
     field = np.pad(largest_solid(ndimage.gaussian_filter(field, 0.7)), 1, constant_values=-1.0)
     if field.max() <= 0:
-        raise InputError("the masks leave no volume", "mesh", "check the masks (work/<scene>/masks/overlay.jpg)")
-    vertices, faces, _, _ = marching_cubes(field.astype(np.float32), 0.0, gradient_direction="ascent")
+        raise InputError(
+            "the masks leave no volume", "mesh", "check the masks (work/<scene>/masks/overlay.jpg)"
+        )
+    vertices, faces, _, _ = marching_cubes(
+        field.astype(np.float32), 0.0, gradient_direction="ascent"
+    )
     vertices = grid.low + (vertices - 1 + 0.5) * grid.cell
     return Mesh(vertices, faces.astype(np.int64), vertex_normals(vertices, faces))
 
 
 def simplify(mesh: Mesh, faces: int) -> tuple[Mesh, dict]:
-    """Repair, smooth lightly (Taubin), decimate (quadrics) with pymeshlab; facts about the result from open3d."""
+    """Repair, smooth lightly (Taubin), decimate (quadrics) with pymeshlab; facts about the result
+    from open3d.
+    """
     import pymeshlab
+
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.faces))
     meshes.meshing_remove_duplicate_vertices()
     meshes.meshing_remove_null_faces()
     meshes.apply_coord_taubin_smoothing(stepsmoothnum=6)
-    meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=faces, preservenormal=True, preservetopology=True,
-                                                    optimalplacement=True, qualitythr=0.4)
+    meshes.meshing_decimation_quadric_edge_collapse(
+        targetfacenum=faces,
+        preservenormal=True,
+        preservetopology=True,
+        optimalplacement=True,
+        qualitythr=0.4,
+    )
     meshes.meshing_repair_non_manifold_edges()
     meshes.meshing_repair_non_manifold_vertices()
     meshes.meshing_close_holes(maxholesize=200)
@@ -63,10 +79,19 @@ def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 def facts(mesh: Mesh) -> dict:
     """Watertight, edge-manifold, number of parts, by Open3D."""
-    from ..runtime import import_open3d
+    from pipeline.base.runtime import import_open3d
+
     o3d = import_open3d()
-    shell = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces))
+    shell = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces)
+    )
     parts = np.asarray(shell.cluster_connected_triangles()[1])
-    return {"watertight": bool(shell.is_edge_manifold(allow_boundary_edges=False) and shell.is_vertex_manifold()),
-            "parts": len(parts), "vertices": len(mesh.vertices), "faces": len(mesh.faces),
-            "size": np.ptp(mesh.vertices, axis=0).tolist()}
+    return {
+        "watertight": bool(
+            shell.is_edge_manifold(allow_boundary_edges=False) and shell.is_vertex_manifold()
+        ),
+        "parts": len(parts),
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "size": np.ptp(mesh.vertices, axis=0).tolist(),
+    }

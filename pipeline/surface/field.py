@@ -1,4 +1,5 @@
-"""Dense fields over a voxel grid from many views: visual hull and stereo. Compiled with numba, one thread per slab.
+"""Dense fields over a voxel grid from many views: visual hull and stereo. Compiled with numba, one
+thread per slab.
 
 Sign: positive inside the object. Unit: the truncation distance; values clipped to [-1, 1].
 """
@@ -9,14 +10,16 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
-from ..cameras import View
-from ..voxels import Grid
+from pipeline.geometry.cameras import View
+from pipeline.geometry.voxels import Grid
 
 MAX_IGNORED = 12
 
 
 def projections(views: list[View], width: int, height: int) -> np.ndarray:
-    """(v, 3, 4) matrices from world points to pixel coordinates of images resized to (width, height)."""
+    """(v, 3, 4) matrices from world points to pixel coordinates of images resized to (width,
+    height).
+    """
     out = []
     for v in views:
         scale = np.diag([width / v.width, height / v.height, 1.0])
@@ -33,7 +36,9 @@ def signed_distance(mask: np.ndarray) -> np.ndarray:
 
 @njit(parallel=True, fastmath=True, cache=False)
 def hull_field(low, cell, shape, matrices, distances, focal, truncation, tolerance):
-    """Per cell the (k + 1)-th smallest signed distance over the views that see it, k = tolerance x their number."""
+    """Per cell the (k + 1)-th smallest signed distance over the views that see it, k = tolerance x
+    their number.
+    """
     out = np.empty(shape, np.float32)
     views, h, w = distances.shape
     for i in prange(shape[0]):
@@ -70,7 +75,9 @@ def hull_field(low, cell, shape, matrices, distances, focal, truncation, toleran
 
 @njit(parallel=True, fastmath=True, cache=False)
 def stereo_field(low, cell, shape, matrices, depths, weights, truncation):
-    """Weighted mean of truncated (cell depth - surface depth), its weight, and votes for free space, per cell."""
+    """Weighted mean of truncated (cell depth - surface depth), its weight, and votes for free
+    space, per cell.
+    """
     out = np.zeros(shape, np.float32)
     total = np.zeros(shape, np.float32)
     free = np.zeros(shape, np.float32)
@@ -104,15 +111,33 @@ def stereo_field(low, cell, shape, matrices, depths, weights, truncation):
 def stacked(images: list[np.ndarray], interpolation=cv2.INTER_NEAREST) -> np.ndarray:
     """(v, h, w) float32: all images resized to the first one's size."""
     h, w = images[0].shape
-    return np.stack([i if i.shape == (h, w) else cv2.resize(i, (w, h), interpolation=interpolation) for i in images]).astype(np.float32)
+    return np.stack(
+        [
+            i if i.shape == (h, w) else cv2.resize(i, (w, h), interpolation=interpolation)
+            for i in images
+        ]
+    ).astype(np.float32)
 
 
-def hull_of(grid: Grid, views: list[View], masks: list[np.ndarray], truncation: float, tolerance: float) -> np.ndarray:
+def hull_of(
+    grid: Grid, views: list[View], masks: list[np.ndarray], truncation: float, tolerance: float
+) -> np.ndarray:
     """Soft visual hull field (nx, ny, nz) of boolean masks."""
-    small = [cv2.resize(m.astype(np.uint8), None, fx=s, fy=s, interpolation=cv2.INTER_AREA) > 0
-             for m in masks for s in [min(1.0, 900 / max(m.shape))]]
+    small = [
+        cv2.resize(m.astype(np.uint8), None, fx=s, fy=s, interpolation=cv2.INTER_AREA) > 0
+        for m in masks
+        for s in [min(1.0, 900 / max(m.shape))]
+    ]
     distances = stacked([signed_distance(m) for m in small])
     h, w = distances.shape[1:]
     focal = np.array([v.fx * w / v.width for v in views], np.float32)
-    return hull_field(grid.low.astype(np.float32), np.float32(grid.cell), grid.shape, projections(views, w, h), distances,
-                      focal, np.float32(truncation), tolerance)
+    return hull_field(
+        grid.low.astype(np.float32),
+        np.float32(grid.cell),
+        grid.shape,
+        projections(views, w, h),
+        distances,
+        focal,
+        np.float32(truncation),
+        tolerance,
+    )

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..cameras import View
-from ..mesh_io import Mesh
-from ..runtime import import_open3d
+from pipeline.base.runtime import import_open3d
+from pipeline.geometry.cameras import View
+from pipeline.geometry.mesh_io import Mesh
 
 
 def caster(mesh: Mesh):
     """Open3D's ray-casting scene of a mesh, and the module."""
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.faces.astype(np.uint32)))
+    scene.add_triangles(
+        o3d.core.Tensor(mesh.vertices.astype(np.float32)),
+        o3d.core.Tensor(mesh.faces.astype(np.uint32)),
+    )
     return scene, o3d
 
 
@@ -27,7 +30,9 @@ class Silhouette:
         """(h, w) bool, by a ray through each pixel's centre."""
         u, v = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
         o, d = view.rays(np.stack([u, v], -1))
-        hit = self.scene.cast_rays(self.o3d.core.Tensor(np.concatenate([o, d], -1).astype(np.float32)))
+        hit = self.scene.cast_rays(
+            self.o3d.core.Tensor(np.concatenate([o, d], -1).astype(np.float32))
+        )
         return np.isfinite(hit["t_hit"].numpy())
 
 
@@ -39,11 +44,19 @@ def shaded(mesh: Mesh, size: int = 320) -> np.ndarray:
     tiles = []
     for azimuth in (20, 110, 200, 290):
         a, e = np.radians(azimuth), np.radians(25)
-        eye = center + 3.2 * radius * np.array([np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)])
+        eye = center + 3.2 * radius * np.array(
+            [np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)]
+        )
         rays = scene.create_rays_pinhole(38, center.tolist(), eye.tolist(), [0, 1, 0], size, size)
         hit = scene.cast_rays(rays)
         normal = hit["primitive_normals"].numpy()
         to_eye = (eye - center) / np.linalg.norm(eye - center)
         light = 0.25 + 0.75 * np.clip(normal @ (to_eye + [0, 0.5, 0]) / 1.1, 0, 1)
-        tiles.append(np.where(np.isfinite(hit["t_hit"].numpy())[..., None], light[..., None] * [225, 220, 210], [30, 32, 36])[::-1])
+        tiles.append(
+            np.where(
+                np.isfinite(hit["t_hit"].numpy())[..., None],
+                light[..., None] * [225, 220, 210],
+                [30, 32, 36],
+            )[::-1]
+        )
     return np.concatenate(tiles, 1).astype(np.uint8)

@@ -1,7 +1,9 @@
-"""Write exports/<scene>.usda and exports/<scene>/: Y-up, metres, UsdPreviewSurface, DomeLight, relative paths only.
+"""Write exports/<scene>.usda and exports/<scene>/: Y-up, metres, UsdPreviewSurface, DomeLight,
+relative paths only.
 
-The dome's EXR carries the absolute scale (intensity 1, exposure 0, white) because Blender's importer ignores
-`inputs:exposure`; a Y-up stage needs no rotation on the light (frames: docs/scene_folder.md).
+The dome's EXR carries the absolute scale (intensity 1, exposure 0, white) because Blender's
+importer ignores `inputs:exposure`; a Y-up stage needs no rotation on the light (frames:
+docs/scene_folder.md).
 """
 
 from __future__ import annotations
@@ -15,20 +17,23 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdUtils, Vt
 
-from .. import __version__
-from ..errors import InputError
-from ..images import linear_to_srgb, write_exr, write_png
-from ..mesh_io import Mesh, load_mesh
-from ..optics import Explanation
-from .check import check
+from pipeline import __version__
+from pipeline.base.errors import InputError
+from pipeline.base.images import linear_to_srgb, write_exr, write_png
+from pipeline.geometry.mesh_io import Mesh, load_mesh
+from pipeline.render.renderer import Explanation
+from pipeline.usd.check import check
 
-GAUGE = ("light scale and base colour trade off: (s L, a / s) explains diffuse photos equally well. The fit starts with a "
-         "median base colour of 0.35; specular light and interreflection move it from there.")
+GAUGE = (
+    "light scale and base colour trade off: (s L, a / s) explains diffuse photos equally well. The fit starts with a "
+    "median base colour of 0.35; specular light and interreflection move it from there."
+)
 
 
 @dataclass
 class Asset:
     """File names of one sample's textures, relative to exports/."""
+
     base_color: str
     roughness: str
     metallic: str
@@ -42,7 +47,12 @@ def write_textures(x: Explanation, folder: Path, relative: str) -> Asset:
     for name in ("roughness", "metallic"):
         write_png(folder / f"{name}.png", np.round(np.clip(getattr(x, name), 0, 1) * 255))
     write_exr(folder / "light.exr", x.light)
-    return Asset(*(f"{relative}/{n}" for n in ("base_color.png", "roughness.png", "metallic.png", "light.exr")))
+    return Asset(
+        *(
+            f"{relative}/{n}"
+            for n in ("base_color.png", "roughness.png", "metallic.png", "light.exr")
+        )
+    )
 
 
 def new_stage(path: Path, name: str, facts: dict) -> tuple[Usd.Stage, Usd.Prim]:
@@ -52,7 +62,14 @@ def new_stage(path: Path, name: str, facts: dict) -> tuple[Usd.Stage, Usd.Prim]:
     root = UsdGeom.Xform.Define(stage, f"/{name}").GetPrim()
     stage.SetDefaultPrim(root)
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
-    root.SetCustomDataByKey("heliograph", {k: v for k, v in (facts | {"version": __version__, "gauge": GAUGE}).items() if v is not None})
+    root.SetCustomDataByKey(
+        "heliograph",
+        {
+            k: v
+            for k, v in (facts | {"version": __version__, "gauge": GAUGE}).items()
+            if v is not None
+        },
+    )
     return stage, root
 
 
@@ -68,13 +85,19 @@ def define_mesh(stage: Usd.Stage, root: Usd.Prim, mesh: Mesh) -> UsdGeom.Mesh:
     prim.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
     prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     prim.CreateDoubleSidedAttr(True)
-    st = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+    st = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
+        "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
+    )
     st.Set(Vt.Vec2fArray.FromNumpy(mesh.uv.astype(np.float32)))
     return prim
 
 
-def define_material(stage: Usd.Stage, root: Usd.Prim, mesh: UsdGeom.Mesh) -> dict[str, UsdShade.Shader]:
-    """UsdPreviewSurface (metallic workflow, ior 1.5) with three texture readers, which are returned by name."""
+def define_material(
+    stage: Usd.Stage, root: Usd.Prim, mesh: UsdGeom.Mesh
+) -> dict[str, UsdShade.Shader]:
+    """UsdPreviewSurface (metallic workflow, ior 1.5) with three texture readers, which are returned
+    by name.
+    """
     material = UsdShade.Material.Define(stage, root.GetPath().AppendChild("Material"))
     path = material.GetPath()
     reader = UsdShade.Shader.Define(stage, path.AppendChild("St"))
@@ -86,20 +109,30 @@ def define_material(stage: Usd.Stage, root: Usd.Prim, mesh: UsdGeom.Mesh) -> dic
     surface.CreateInput("useSpecularWorkflow", Sdf.ValueTypeNames.Int).Set(0)
     surface.CreateInput("ior", Sdf.ValueTypeNames.Float).Set(1.5)
     textures = {}
-    for name, slot, space, kind, output in (("base_color", "diffuseColor", "sRGB", Sdf.ValueTypeNames.Color3f, "rgb"),
-                                            ("roughness", "roughness", "raw", Sdf.ValueTypeNames.Float, "r"),
-                                            ("metallic", "metallic", "raw", Sdf.ValueTypeNames.Float, "r")):
-        texture = UsdShade.Shader.Define(stage, path.AppendChild("".join(w.title() for w in name.split("_"))))
+    for name, slot, space, kind, output in (
+        ("base_color", "diffuseColor", "sRGB", Sdf.ValueTypeNames.Color3f, "rgb"),
+        ("roughness", "roughness", "raw", Sdf.ValueTypeNames.Float, "r"),
+        ("metallic", "metallic", "raw", Sdf.ValueTypeNames.Float, "r"),
+    ):
+        texture = UsdShade.Shader.Define(
+            stage, path.AppendChild("".join(w.title() for w in name.split("_")))
+        )
         texture.CreateIdAttr("UsdUVTexture")
-        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
+            reader.ConnectableAPI(), "result"
+        )
         texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set(space)
         for wrap in ("wrapS", "wrapT"):
             texture.CreateInput(wrap, Sdf.ValueTypeNames.Token).Set("clamp")
-        texture.CreateOutput(output, Sdf.ValueTypeNames.Float3 if output == "rgb" else Sdf.ValueTypeNames.Float)
+        texture.CreateOutput(
+            output, Sdf.ValueTypeNames.Float3 if output == "rgb" else Sdf.ValueTypeNames.Float
+        )
         texture.CreateInput("file", Sdf.ValueTypeNames.Asset)
         surface.CreateInput(slot, kind).ConnectToSource(texture.ConnectableAPI(), output)
         textures[name] = texture
-    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token).GetAttr().GetPath())
+    material.CreateSurfaceOutput().ConnectToSource(
+        surface.CreateOutput("surface", Sdf.ValueTypeNames.Token).GetAttr().GetPath()
+    )
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     return textures
 
@@ -147,24 +180,34 @@ def write_flat(path: Path, name: str, mesh: Mesh, asset: Asset, facts: dict) -> 
 
 @contextlib.contextmanager
 def staging(out: Path):
-    """A folder beside `out` in which an export is built under its final names, so that it can be checked before it is seen."""
+    """A folder beside `out` in which an export is built under its final names, so that it can be
+    checked before it is seen.
+    """
     folder = out.with_name(f".partial-{out.stem}")
     try:
-        shutil.rmtree(folder, ignore_errors=True)            # a killed run's leftover
+        shutil.rmtree(folder, ignore_errors=True)  # a killed run's leftover
         try:
             folder.mkdir(parents=True)
         except OSError as error:
-            raise InputError(f"the folder cannot be written to ({error.strerror})", out.parent,
-                             "chmod u+w it, or export elsewhere") from error
+            raise InputError(
+                f"the folder cannot be written to ({error.strerror})",
+                out.parent,
+                "chmod u+w it, or export elsewhere",
+            ) from error
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def build(folder: Path, scene: str, mesh: Mesh, samples: list[Path], facts: dict) -> None:
-    """Write <scene>.usda and <scene>/ into `folder`. RuntimeError when a file does not pass the validators."""
+    """Write <scene>.usda and <scene>/ into `folder`. RuntimeError when a file does not pass the
+    validators.
+    """
     name, inside = Tf.MakeValidIdentifier(scene), folder / scene
-    assets = [write_textures(Explanation.load(s), inside / f"sample_{k}", f"{scene}/sample_{k}") for k, s in enumerate(samples)]
+    assets = [
+        write_textures(Explanation.load(s), inside / f"sample_{k}", f"{scene}/sample_{k}")
+        for k, s in enumerate(samples)
+    ]
     for k, asset in enumerate(assets):
         write_flat(inside / f"sample_{k}.usda", name, mesh, asset, facts | {"sample": k})
     write_variants(folder / f"{scene}.usda", name, mesh, assets, facts)
@@ -175,9 +218,16 @@ def build(folder: Path, scene: str, mesh: Mesh, samples: list[Path], facts: dict
 
 
 def package(folder: Path, scene: str) -> str | None:
-    """Pack sample 0 as <scene>.usdz in `folder`. Returns why there is none, or None when it is there."""
+    """Pack sample 0 as <scene>.usdz in `folder`. Returns why there is none, or None when it is
+    there.
+    """
     target, why = folder / f"{scene}.usdz", "OpenUSD could not pack sample_0.usda"
-    if UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(folder / scene / "sample_0.usda")), str(target)) and target.exists():
+    if (
+        UsdUtils.CreateNewUsdzPackage(
+            Sdf.AssetPath(str(folder / scene / "sample_0.usda")), str(target)
+        )
+        and target.exists()
+    ):
         problems = check(target)
         if not problems:
             return None
@@ -187,22 +237,27 @@ def package(folder: Path, scene: str) -> str | None:
 
 
 def publish(folder: Path, out: Path) -> None:
-    """Move a built export to its place; the .usda comes last, so that it never names files that are not there yet."""
+    """Move a built export to its place; the .usda comes last, so that it never names files that are
+    not there yet.
+    """
     shutil.rmtree(out.with_suffix(""), ignore_errors=True)
     os.replace(folder / out.stem, out.with_suffix(""))
     packed = folder / f"{out.stem}.usdz"
     if packed.exists():
         os.replace(packed, out.with_suffix(".usdz"))
     else:
-        out.with_suffix(".usdz").unlink(missing_ok=True)     # an older package would show an older result
+        out.with_suffix(".usdz").unlink(
+            missing_ok=True
+        )  # an older package would show an older result
     os.replace(folder / out.name, out)
 
 
 def export(atlas: Path, samples: list[Path], out: Path, facts: dict) -> dict:
-    """Write `out` (exports/<scene>.usda), its folder and a .usdz of sample 0; an export that fails leaves the old one alone.
+    """Write `out` (exports/<scene>.usda), its folder and a .usdz of sample 0; an export that fails
+    leaves the old one alone.
 
-    samples: folders with light.exr, base_color.exr, roughness.exr, metallic.exr. Raises InputError when exports/ cannot
-    be written, RuntimeError when an export does not pass the USD validators.
+    samples: folders with light.exr, base_color.exr, roughness.exr, metallic.exr. Raises InputError
+    when exports/ cannot be written, RuntimeError when an export does not pass the USD validators.
     """
     mesh = load_mesh(atlas / "mesh_uv.ply")
     with staging(out) as folder:
@@ -210,5 +265,10 @@ def export(atlas: Path, samples: list[Path], out: Path, facts: dict) -> dict:
         unpacked = package(folder, out.stem)
         publish(folder, out)
     size = sum(f.stat().st_size for f in out.with_suffix("").rglob("*") if f.is_file()) / 2**20
-    metrics = {"samples": len(samples), "problems": [], "usdz": unpacked is None, "mib": round(size, 2)}
+    metrics = {
+        "samples": len(samples),
+        "problems": [],
+        "usdz": unpacked is None,
+        "mib": round(size, 2),
+    }
     return metrics | ({"warnings": [f"no .usdz: {unpacked}"]} if unpacked else {})

@@ -1,4 +1,5 @@
 """The whole DAG on a toy scene (given cameras, masks and mesh), and what re-running it does."""
+
 import json
 import os
 import signal
@@ -11,14 +12,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.cameras import Y_FROM_Z_UP, View
-from pipeline.images import to_srgb8
-from pipeline.mesh_io import Mesh, load_mesh, save_mesh
-from pipeline.metrics import render_view
-from pipeline.optics import Explanation, Renderer
-from pipeline.prior.code import scale_of
-from pipeline.prior.procedural import outdoor
-from pipeline.usd import check
+from pipeline.base.images import to_srgb8
+from pipeline.geometry.cameras import Y_FROM_Z_UP, View
+from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh
+from pipeline.prior.training.procedural import outdoor
+from pipeline.prior.value_code import scale_of
+from pipeline.render.metrics import render_view
+from pipeline.render.renderer import Explanation, Renderer
+from pipeline.usd.check import check
 from tests.conftest import look_at
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,13 +38,32 @@ report: {{relight_size: 48, spp: 4}}
 
 
 def snakemake(folder: Path, *arguments: str, **options) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "--profile", str(ROOT / "profiles/default"),
-                           "--directory", str(folder), "--cores", "2", *arguments], capture_output=True, text=True, **options)
+    return subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "snakemake",
+            "-s",
+            str(ROOT / "Snakefile"),
+            "--profile",
+            str(ROOT / "profiles/default"),
+            "--directory",
+            str(folder),
+            "--cores",
+            "2",
+            *arguments,
+        ],
+        capture_output=True,
+        text=True,
+        **options,
+    )
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory, ball) -> Path:
-    """A project folder with configs/toy.yaml and a rendered scene in a folder with spaces and umlauts."""
+    """A project folder with configs/toy.yaml and a rendered scene in a folder with spaces and
+    umlauts.
+    """
     folder = tmp_path_factory.mktemp("project")
     scene = folder / "Fotos für den Test"
     (scene / "images").mkdir(parents=True)
@@ -52,19 +72,30 @@ def project(tmp_path_factory, ball) -> Path:
     light = outdoor(np.random.default_rng(4), 32, 64).astype(np.float32)
     color = np.full((16, 16, 3), 0.5, np.float32)
     color[:8] = [0.6, 0.2, 0.1]
-    truth = Explanation(light / scale_of(light) * 0.5, color, np.full((16, 16), 0.4, np.float32), np.zeros((16, 16), np.float32))
+    truth = Explanation(
+        light / scale_of(light) * 0.5,
+        color,
+        np.full((16, 16), 0.4, np.float32),
+        np.zeros((16, 16), np.float32),
+    )
     renderer, frames = Renderer(ball / "mesh_uv.ply", 16, 32, 3), []
     for k in range(9):
         a = 2 * np.pi * k / 9
         pose = look_at([2.2 * np.sin(a), 0.6 * (k % 3), 2.2 * np.cos(a)])
         picture = render_view(renderer, truth, View("v", "", 48, 48, 80, 80, 24, 24, pose), 32)
         alpha = (picture.max(-1) > 0) * np.uint8(255)
-        Image.fromarray(np.dstack([to_srgb8(picture), alpha])).save(scene / "images" / f"Bild {k}.png")
+        Image.fromarray(np.dstack([to_srgb8(picture), alpha])).save(
+            scene / "images" / f"Bild {k}.png"
+        )
         matrix = np.linalg.inv(Y_FROM_Z_UP) @ np.linalg.inv(pose) @ np.diag([1.0, -1, -1, 1])
         frames.append({"file_path": f"images/Bild {k}.png", "transform_matrix": matrix.tolist()})
-    (scene / "transforms.json").write_text(json.dumps({"fl_x": 80, "w": 48, "h": 48, "frames": frames}))
+    (scene / "transforms.json").write_text(
+        json.dumps({"fl_x": 80, "w": 48, "h": 48, "frames": frames})
+    )
     mesh, back = load_mesh(ball / "mesh_uv.ply"), np.linalg.inv(Y_FROM_Z_UP)[:3, :3]
-    save_mesh(scene / "mesh.ply", Mesh(mesh.vertices @ back.T, mesh.faces, mesh.normals @ back.T, mesh.uv))
+    save_mesh(
+        scene / "mesh.ply", Mesh(mesh.vertices @ back.T, mesh.faces, mesh.normals @ back.T, mesh.uv)
+    )
     return folder
 
 
@@ -72,7 +103,11 @@ def jobs(folder: Path, *arguments: str) -> set[str]:
     """Rules that a dry run would execute."""
     plan = snakemake(folder, "-n", *arguments)
     assert plan.returncode == 0, plan.stderr
-    return {line.split()[-1].rstrip(":") for line in (plan.stdout + plan.stderr).splitlines() if line.startswith(("rule ", "localrule "))}
+    return {
+        line.split()[-1].rstrip(":")
+        for line in (plan.stdout + plan.stderr).splitlines()
+        if line.startswith(("rule ", "localrule "))
+    }
 
 
 def test_whole_chain(project):
@@ -93,7 +128,10 @@ def test_nothing_to_do_when_nothing_changed(project):
 
 
 def test_one_option_reruns_only_what_depends_on_it(project):
-    assert jobs(project, "exports/toy.usda", "--config", "refine={steps: 5}") == {"refine", "export"}
+    assert jobs(project, "exports/toy.usda", "--config", "refine={steps: 5}") == {
+        "refine",
+        "export",
+    }
     assert "sample" in jobs(project, "exports/toy.usda", "--config", "fit={steps: 7}")
     assert "mesh" not in jobs(project, "exports/toy.usda", "--config", "observe={pixels: 2000}")
 
@@ -101,26 +139,73 @@ def test_one_option_reruns_only_what_depends_on_it(project):
 def test_more_samples_only_add_jobs(project):
     plan = snakemake(project, "-n", "exports/toy.usda", "--config", "samples=3")
     text = plan.stdout + plan.stderr
-    count = {line.split()[0]: line.split()[1] for line in text.splitlines() if len(line.split()) == 2 and line.split()[1].isdigit()}
+    count = {
+        line.split()[0]: line.split()[1]
+        for line in text.splitlines()
+        if len(line.split()) == 2 and line.split()[1].isdigit()
+    }
     assert count.get("sample") == "1" and count.get("refine") == "1" and "fit" not in count, text
 
 
 def test_sample_alone_equals_sample_among_others(project, tmp_path):
     work = project / "work" / "toy"
-    done = subprocess.run([sys.executable, "-m", "stages.sample", "--config", "configs/toy.yaml", "--threads", "1", "--index", "1",
-                           "--observe", str(work / "observe"), "--poses", str(work / "poses"), "--atlas", str(work / "atlas"),
-                           "--fit", str(work / "fit"), "--out", str(tmp_path / "alone")], cwd=project, capture_output=True, text=True,
-                          env={k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")})       # by hand, as in a user's shell
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "stages.sample",
+            "--config",
+            "configs/toy.yaml",
+            "--threads",
+            "1",
+            "--index",
+            "1",
+            "--observe",
+            str(work / "observe"),
+            "--poses",
+            str(work / "poses"),
+            "--atlas",
+            str(work / "atlas"),
+            "--fit",
+            str(work / "fit"),
+            "--out",
+            str(tmp_path / "alone"),
+        ],
+        cwd=project,
+        capture_output=True,
+        text=True,
+        env={k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")},
+    )  # by hand, as in a user's shell
     assert done.returncode == 0, done.stderr
     for name in ("light", "base_color", "roughness", "metallic"):
-        assert (tmp_path / "alone" / f"{name}.exr").read_bytes() == (work / "sample" / "1" / f"{name}.exr").read_bytes()
+        assert (tmp_path / "alone" / f"{name}.exr").read_bytes() == (
+            work / "sample" / "1" / f"{name}.exr"
+        ).read_bytes()
 
 
 def test_a_killed_run_continues(project):
-    """kill -9 of the whole process group in the middle of the fit; the next run finishes the work."""
-    command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "--profile", str(ROOT / "profiles/default"),
-               "--directory", str(project), "--cores", "2", "exports/toy.usda", "--config", "fit={steps: 2000}"]
-    running = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    """kill -9 of the whole process group in the middle of the fit; the next run finishes the
+    work.
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        "-s",
+        str(ROOT / "Snakefile"),
+        "--profile",
+        str(ROOT / "profiles/default"),
+        "--directory",
+        str(project),
+        "--cores",
+        "2",
+        "exports/toy.usda",
+        "--config",
+        "fit={steps: 2000}",
+    ]
+    running = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
     deadline = time.time() + 120
     while not (project / "work/toy/.partial-fit").exists() and time.time() < deadline:
         time.sleep(0.2)
@@ -129,14 +214,27 @@ def test_a_killed_run_continues(project):
     running.wait()
     done = snakemake(project, "exports/toy.usda", "--config", "fit={steps: 8}")
     assert done.returncode == 0, done.stderr[-3000:]
-    assert check(project / "exports" / "toy.usda") == [] and not (project / "work/toy/.partial-fit").exists()
+    assert (
+        check(project / "exports" / "toy.usda") == []
+        and not (project / "work/toy/.partial-fit").exists()
+    )
 
 
-@pytest.mark.parametrize("change, words", [("samples: 0", ["samples", "greater than or equal to 1"]), ("smples: 3", ["smples", "samples"]),
-                                           ("photos: nowhere", ["nowhere", "does not exist"])])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ("samples: 0", ["samples", "greater than or equal to 1"]),
+        ("smples: 3", ["smples", "samples"]),
+        ("photos: nowhere", ["nowhere", "does not exist"]),
+    ],
+)
 def test_mistakes_come_as_plain_messages(project, change, words):
     key = change.split(":")[0]
-    lines = [x for x in (project / "configs/toy.yaml").read_text(encoding="utf-8").splitlines() if not x.startswith(key + ":")]
+    lines = [
+        x
+        for x in (project / "configs/toy.yaml").read_text(encoding="utf-8").splitlines()
+        if not x.startswith(key + ":")
+    ]
     (project / "configs" / "wrong.yaml").write_text("\n".join(lines + [change]), encoding="utf-8")
     done = snakemake(project, "exports/wrong.usda")
     text = done.stdout + done.stderr
@@ -144,6 +242,23 @@ def test_mistakes_come_as_plain_messages(project, change, words):
 
 
 def test_every_stage_explains_itself():
-    for stage in ("capture", "poses", "masks", "mesh", "atlas", "observe", "fit", "sample", "refine", "export", "report"):
-        done = subprocess.run([sys.executable, "-m", f"stages.{stage}", "--help"], cwd=ROOT, capture_output=True, text=True)
+    for stage in (
+        "capture",
+        "poses",
+        "masks",
+        "mesh",
+        "atlas",
+        "observe",
+        "fit",
+        "sample",
+        "refine",
+        "export",
+        "report",
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", f"stages.{stage}", "--help"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+        )
         assert done.returncode == 0 and "--out" in done.stdout, done.stderr

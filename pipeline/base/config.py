@@ -1,0 +1,322 @@
+"""A scene's configuration: one short YAML over a preset, validated once, here.
+
+`load_scene(path)` merges field defaults < `configs/presets/<preset>.yaml` < the scene's own YAML.
+Every field says its unit, range and reason. An unknown key is an error that names the nearest known
+one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pipeline.base.errors import InputError, nearest
+
+PRESET_FOLDER = Path(__file__).resolve().parents[2] / "configs" / "presets"
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Capture(Section):
+    """Photos as linear light."""
+
+    max_size: int = Field(
+        1200, ge=64, le=8192, description="long side in pixels that later stages work at"
+    )
+    encoding: Literal["auto", "srgb", "linear"] = Field(
+        "auto", description="auto: EXR is linear, everything else sRGB"
+    )
+    exposure: Literal["exif", "none"] = Field(
+        "exif",
+        description="exif: divide by exposure time x ISO / f-number^2 relative to the median photo",
+    )
+    clip_fraction: float = Field(
+        0.985, gt=0.5, le=1, description="fraction of full scale that counts as saturated"
+    )
+
+
+class Poses(Section):
+    """Cameras by structure from motion; ignored when cameras are given."""
+
+    max_size: int = Field(
+        1000, ge=200, le=4000, description="long side in pixels for features: 1600 brings no gain"
+    )
+    features: int = Field(4096, ge=500, le=32768, description="SIFT features per photo")
+    matching: Literal["auto", "exhaustive", "sequential"] = Field(
+        "auto",
+        description="auto: exhaustive up to 60 photos, then sequential with loop closure by overlap",
+    )
+    camera: Literal["auto", "single", "per_image"] = Field(
+        "auto", description="auto: one camera if sizes and EXIF agree"
+    )
+    min_registered: float = Field(
+        0.9, gt=0, le=1, description="below this share a second, more thorough attempt is made"
+    )
+    match_exposure: bool = Field(
+        True,
+        description="divide out brightness that matched points show beyond EXIF, if it is much",
+    )
+    object_size: float | None = Field(
+        None, gt=0, description="object's diameter in metres; none: unit-size asset"
+    )
+    up: Literal["auto", "none"] = Field(
+        "auto", description="auto: turn the estimated gravity to +Y"
+    )
+    seed: int = Field(0, ge=0)
+
+
+class Masks(Section):
+    """Which pixels show the object."""
+
+    method: Literal["auto", "given", "plane", "onnx"] = Field(
+        "auto", description="auto: given masks or alpha, else plane; onnx needs `onnx_model`"
+    )
+    onnx_model: Path | None = Field(
+        None, description="path of an installed ISNet-like network (1x3x1024x1024)"
+    )
+
+
+class Mesh(Section):
+    """Surface from masks and photos; ignored when mesh.ply or mesh.obj is given."""
+
+    method: Literal["auto", "hull", "fused"] = Field(
+        "auto", description="auto: fused if the views agree, else hull"
+    )
+    grid: int = Field(256, ge=48, le=512, description="cells along the longest side of the volume")
+    faces: int = Field(30000, ge=200, le=500000, description="triangles after decimation")
+    stereo_scale: float = Field(0.75, gt=0.05, le=1, description="image scale for stereo matching")
+    min_agreement: float = Field(
+        0.25, ge=0, le=1, description="share of consistent stereo pixels below which hull alone"
+    )
+
+
+class Atlas(Section):
+    resolution: int = Field(
+        1024, ge=16, le=8192, description="texels along a side that padding is made for"
+    )
+    padding: int = Field(4, ge=0, le=32, description="texels between charts")
+
+
+class Observe(Section):
+    """Random pixels over all views."""
+
+    pixels: int = Field(
+        1_500_000, ge=256, le=20_000_000, description="pixels drawn over all fit views"
+    )
+    held_out: float = Field(
+        0.1, ge=0, lt=0.6, description="share of views kept for scoring (at least 1 from 8 on)"
+    )
+    erode: float = Field(
+        1.5, ge=0, le=20, description="pixels taken off the mask's edge: mixed with background"
+    )
+    seed: int = Field(0, ge=0)
+
+
+class Render(Section):
+    """The forward model shared by fit, sample and refine."""
+
+    max_depth: int = Field(
+        4,
+        ge=2,
+        le=16,
+        description="path vertices after the camera (Mitsuba's max_depth): 4 = "
+        "light after up to 3 surface interactions",
+    )
+    light_height: int = Field(
+        32, ge=4, le=512, description="rows of the lat-long light; columns are twice that"
+    )
+    roughness_min: float = Field(
+        0.08, ge=0.02, le=1, description="below this lobes are finer than the light's pixels"
+    )
+
+
+class Fit(Section):
+    """Point estimate, Eq. 15 of DPI: Adam on light and materials together."""
+
+    steps: int = Field(300, ge=1, le=100000)
+    pixels: int = Field(8192, ge=16, description="pixels per step, over all views")
+    spp: int = Field(
+        4,
+        ge=2,
+        le=1024,
+        multiple_of=2,
+        description="paths per pixel and step; even: two independent halves",
+    )
+    learning_rate: float = Field(0.02, gt=0, le=1)
+    texture: int = Field(256, ge=8, le=4096, description="texture side during the fit")
+    seed: int = Field(0, ge=0)
+
+
+class Sample(Section):
+    """Posterior samples of light and materials."""
+
+    method: str = Field("split_gibbs", description="a key of pipeline.posterior.SAMPLERS")
+    prior: str = Field(
+        "prior_base", description="a file stem under weights/, or a path to .safetensors"
+    )
+    label: str | None = Field(
+        None, description="class the prior is conditioned on; none: unconditional"
+    )
+    smooth: int = Field(
+        5,
+        ge=0,
+        le=1000,
+        description="split_gibbs: turns of decoupled annealing before the splitting",
+    )
+    levels: int = Field(
+        3, ge=2, le=1000, description="split_gibbs: widths of the splitting from coarse to fine"
+    )
+    stay: int = Field(1, ge=0, le=10000, description="split_gibbs: turns at the finest width")
+    points: int = Field(250, ge=20, le=20000, description="split_gibbs: surface points")
+    views: int = Field(6, ge=1, le=100, description="split_gibbs: photos per point")
+    light: int = Field(
+        32,
+        ge=4,
+        le=128,
+        description="split_gibbs: rows of the light that the operator resolves; divides the prior's",
+    )
+    search_prior: str = Field(
+        "gaussian_small", description="split_gibbs: Gaussian prior of the search's light"
+    )
+    search_points: int = Field(
+        250, ge=10, description="split_gibbs: points for the search of start materials"
+    )
+    search_sweeps: int = Field(
+        2,
+        ge=1,
+        description="split_gibbs: sweeps of that search over all regions, from each of two starts",
+    )
+    region_steps: int = Field(
+        100, ge=1, description="split_gibbs: Metropolis-Hastings steps of the materials per turn"
+    )
+    steps: int = Field(
+        250, ge=2, le=1000, description="dpi: noise levels, a sub-sequence of T = 1000"
+    )
+    pixels: int = Field(4096, ge=16)
+    spp: int = Field(4, ge=2, le=1024, multiple_of=2)
+    guidance: float = Field(1.0, gt=0, le=100, description="multiplies the paper's rho schedule")
+    learning_rate: float = Field(0.01, gt=0, le=1, description="materials' Adam step, Eq. 16")
+    texture: int = Field(256, ge=8, le=4096)
+    seed: int = Field(0, ge=0)
+
+
+class Refine(Section):
+    """Materials (and one light scale) at full texture size with the light held, Eq. 17 of DPI."""
+
+    steps: int = Field(100, ge=0, le=100000)
+    pixels: int = Field(8192, ge=16)
+    spp: int = Field(4, ge=2, le=1024, multiple_of=2)
+    learning_rate: float = Field(0.01, gt=0, le=1)
+    texture: int = Field(1024, ge=16, le=8192, description="side of the exported textures")
+
+
+class Report(Section):
+    relight_size: int = Field(
+        320, ge=32, le=2048, description="half the width in pixels of the report's renders"
+    )
+    spp: int = Field(128, ge=2, le=4096, multiple_of=2)
+
+
+class Scene(Section):
+    """One scene. `photos` is its folder (or a folder of images); relative paths start at the
+    project's top folder.
+    """
+
+    photos: Path
+    preset: Literal["draft", "standard", "reference"] = "standard"
+    samples: int = Field(
+        3, ge=1, le=1000, description="posterior samples N; raising it only adds jobs"
+    )
+    capture: Capture = Capture()
+    poses: Poses = Poses()
+    masks: Masks = Masks()
+    mesh: Mesh = Mesh()
+    atlas: Atlas = Atlas()
+    observe: Observe = Observe()
+    render: Render = Render()
+    fit: Fit = Fit()
+    sample: Sample = Sample()
+    refine: Refine = Refine()
+    report: Report = Report()
+
+
+def read_yaml(path: Path) -> dict:
+    """A YAML mapping; anything else is an InputError."""
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(
+            "there is no such configuration", path, "write it: one line `photos: FOLDER` is enough"
+        ) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"not valid YAML ({error})", path, "repair the line named above"
+        ) from error
+    if not isinstance(data, dict):
+        raise InputError("expected `key: value` lines", path, "start with `photos: FOLDER`")
+    return data
+
+
+def merge(base: dict, over: dict) -> dict:
+    """`over` on top of `base`, section by section."""
+    out = dict(base)
+    for key, value in over.items():
+        out[key] = (
+            merge(out[key], value)
+            if isinstance(value, dict) and isinstance(out.get(key), dict)
+            else value
+        )
+    return out
+
+
+def _explain(error: ValidationError, path, model: type[Section]) -> InputError:
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] != "extra_forbidden":
+        return InputError(
+            f"{key}: {first['msg']} (it is {first.get('input')!r})", path, f"correct {key}"
+        )
+    for part in first["loc"][:-1]:
+        model = model.model_fields[part].annotation
+    return InputError(
+        f"unknown key '{key}'", path, nearest(str(first["loc"][-1]), model.model_fields)
+    )
+
+
+def load_scene(path: str | Path, overrides: dict | None = None) -> Scene:
+    """Read and validate configs/<scene>.yaml. Raises InputError naming file, key and cure."""
+    path = Path(path)
+    return parse_scene(merge(read_yaml(path), overrides or {}), path)
+
+
+def parse_scene(own: dict, path) -> Scene:
+    """Merge a scene's mapping with its preset and validate."""
+    preset = own.get("preset", "standard")
+    file = PRESET_FOLDER / f"{preset}.yaml"
+    if not isinstance(preset, str) or not file.exists():
+        raise InputError(
+            f"unknown preset {preset!r}",
+            path,
+            nearest(str(preset), [p.stem for p in PRESET_FOLDER.glob("*.yaml")]),
+        )
+    return validated(Scene, merge(read_yaml(file), own), path)
+
+
+def validated(model: type[Section], values: dict, path):
+    """An instance of `model`. Raises InputError naming file, key and cure."""
+    try:
+        return model(**values)
+    except ValidationError as error:
+        raise _explain(error, path, model) from error
+
+
+def slice_of(scene: Scene, *sections: str) -> dict:
+    """The part of a configuration that a stage reads, as plain JSON values: Snakemake re-runs on
+    its change only.
+    """
+    return scene.model_dump(mode="json", include=set(sections))

@@ -1,0 +1,96 @@
+"""Colour and image files. In memory: float32 arrays (h, w, 3) or (h, w), linear Rec.709 radiance
+unless said otherwise.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from pipeline.base.errors import InputError
+from pipeline.base.files import atomic_path
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec.709 primaries
+
+
+def srgb_to_linear(x: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1 decoding of values in [0, 1]."""
+    x = np.asarray(x, np.float32)
+    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(
+        np.float32
+    )
+
+
+def linear_to_srgb(x: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1 encoding, clipped to [0, 1]."""
+    x = np.clip(np.asarray(x, np.float32), 0, 1)
+    return np.where(
+        x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-8) ** (1 / 2.4) - 0.055
+    ).astype(np.float32)
+
+
+def luminance(rgb: np.ndarray) -> np.ndarray:
+    """Rec.709 luminance of (..., 3)."""
+    return np.asarray(rgb) @ LUMINANCE
+
+
+def to_srgb8(linear: np.ndarray) -> np.ndarray:
+    """Linear radiance -> 8-bit sRGB for viewing."""
+    return (linear_to_srgb(linear) * 255 + 0.5).astype(np.uint8)
+
+
+def read_exr(path: str | Path) -> np.ndarray:
+    """(h, w, 3) or, for a file with one channel, (h, w), float32. Raises InputError when it cannot
+    be read.
+    """
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), separate_channels=False) as file:
+            channels = file.channels()
+            for name in ("RGBA", "RGB"):
+                if name in channels:
+                    return np.ascontiguousarray(channels[name].pixels[..., :3], np.float32)
+            if all(c in channels for c in "RGB"):
+                return np.stack([channels[c].pixels for c in "RGB"], -1).astype(np.float32)
+            return np.array(next(iter(channels.values())).pixels, np.float32)
+    except Exception as error:  # the binding raises bare RuntimeError/ValueError/OSError
+        raise InputError(
+            f"not a readable EXR file ({error})", path, "replace the file or leave it out"
+        ) from error
+
+
+def write_exr(path: str | Path, pixels: np.ndarray, half: bool = False) -> None:
+    """Write (h, w, 3) as R, G, B or (h, w) as Y; ZIP compression, float32 unless `half`."""
+    import OpenEXR
+
+    pixels = np.asarray(pixels, np.float32)
+    if not np.isfinite(pixels).all():
+        raise ValueError(f"{path}: refusing to write NaN or infinity")
+    pixels = np.ascontiguousarray(
+        np.clip(pixels, -65504, 65504).astype(np.float16) if half else pixels
+    )
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with atomic_path(path) as temporary:
+        with OpenEXR.File(header, {"RGB" if pixels.ndim == 3 else "Y": pixels}) as file:
+            file.write(str(temporary))
+
+
+def read_png(path: str | Path) -> np.ndarray:
+    """8-bit image as uint8 (h, w, 3) or (h, w) for grey."""
+    try:
+        with Image.open(path) as image:
+            return np.asarray(
+                image if image.mode == "L" else image.convert("L" if image.mode in "1I" else "RGB")
+            )
+    except OSError as error:
+        raise InputError(f"not a readable image ({error})", path, "replace the file") from error
+
+
+def write_png(path: str | Path, pixels: np.ndarray) -> None:
+    """Write uint8 (h, w) or (h, w, 3); the format follows the suffix (.png or .jpg)."""
+    with atomic_path(path) as temporary:
+        options = {"quality": 90} if Path(path).suffix.lower() in (".jpg", ".jpeg") else {}
+        Image.fromarray(np.asarray(pixels, np.uint8)).save(temporary, **options)

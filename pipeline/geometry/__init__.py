@@ -1,0 +1,1 @@
+"""Cameras, meshes and voxel grids: no photos, no light."""

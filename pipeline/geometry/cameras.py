@@ -1,0 +1,134 @@
+"""Pinhole cameras. Library frame: right-handed, Y-up. Camera axes: OpenCV (x right, y down, z
+forward).
+
+Letters: K (3, 3) intrinsics in pixels, pixel centres at +0.5; W (4, 4) world-to-camera; o, d ray
+origin and direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.base.files import read_json, write_json
+
+Y_FROM_Z_UP = np.array(
+    [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]]
+)  # (x, y, z) -> (x, z, -y)
+OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass
+class View:
+    """One undistorted photo: pinhole, no lens distortion left."""
+
+    name: str
+    image: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_to_camera: np.ndarray
+    clip_level: float = 1.0  # linear value at and above which a channel is saturated
+    split: str = "fit"  # "fit", or "test" for a view never used for fitting
+
+    @property
+    def K(self) -> np.ndarray:
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @property
+    def position(self) -> np.ndarray:
+        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+
+    def scaled(self, factor: float) -> View:
+        """The same view at round(width * factor) pixels; intrinsics follow the exact ratios."""
+        w, h = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        sx, sy = w / self.width, h / self.height
+        return replace(
+            self,
+            width=w,
+            height=h,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=self.cx * sx,
+            cy=self.cy * sy,
+        )
+
+    def project(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World points (..., 3) -> pixel coordinates (..., 2) and depth along the optical axis
+        (...).
+        """
+        p = xyz @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+        z = np.where(np.abs(p[..., 2]) < 1e-12, 1e-12, p[..., 2])
+        uv = np.stack([self.fx * p[..., 0] / z + self.cx, self.fy * p[..., 1] / z + self.cy], -1)
+        return uv, p[..., 2]
+
+    def rays(self, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixel coordinates (..., 2) -> origins and unit directions (..., 3) in the world frame."""
+        d = np.stack(
+            [
+                (uv[..., 0] - self.cx) / self.fx,
+                (uv[..., 1] - self.cy) / self.fy,
+                np.ones(uv.shape[:-1]),
+            ],
+            -1,
+        )
+        d = (d / np.linalg.norm(d, axis=-1, keepdims=True)) @ self.world_to_camera[:3, :3]
+        return np.broadcast_to(self.position, d.shape), d
+
+
+@dataclass
+class Rig:
+    """All views of a scene and the sphere the object lies in (library frame)."""
+
+    views: list[View]
+    center: np.ndarray
+    radius: float
+    source: str
+    facts: dict = field(default_factory=dict)
+
+    def fit_views(self) -> list[View]:
+        return [v for v in self.views if v.split == "fit"]
+
+
+def save_cameras(path: str | Path, rig: Rig) -> None:
+    """Write cameras.json."""
+    write_json(
+        path,
+        {
+            "frame": "y-up opencv world_to_camera",
+            "source": rig.source,
+            "object": {"center": np.asarray(rig.center), "radius": float(rig.radius)},
+            "facts": rig.facts,
+            "views": [asdict(v) for v in rig.views],
+        },
+    )
+
+
+def load_cameras(path: str | Path) -> Rig:
+    """Read cameras.json written by `save_cameras`."""
+    data = read_json(path)
+    try:
+        views = [
+            View(**{**v, "world_to_camera": np.array(v["world_to_camera"], float)})
+            for v in data["views"]
+        ]
+        sphere = data["object"]
+        return Rig(
+            views,
+            np.array(sphere["center"], float),
+            float(sphere["radius"]),
+            data["source"],
+            data.get("facts", {}),
+        )
+    except (KeyError, TypeError) as error:
+        raise InputError(
+            f"not a cameras.json of this version ({error!r})",
+            path,
+            "delete the file and run the poses stage again",
+        ) from error

@@ -1,0 +1,137 @@
+"""Known cameras: transforms.json (NeRF-synthetic, instant-ngp, nerfstudio) and COLMAP models, as
+`Lens` + pose.
+
+Poses are world-to-camera with OpenCV axes. transforms.json is Z-up by convention and turned to Y-up
+here.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP
+from pipeline.photos.capture import photo_name
+
+
+@dataclass
+class Lens:
+    """Intrinsics with OpenCV distortion (k1, k2, p1, p2), pixel centres at +0.5, at size (width,
+    height).
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple = (0.0, 0.0, 0.0, 0.0)
+
+    def at(self, width: int, height: int) -> Lens:
+        """The same lens for a resized photo."""
+        x, y = width / self.width, height / self.height
+        return Lens(
+            width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.distortion
+        )
+
+
+def check_shape(w: float, h: float, size: tuple[int, int], where, name: str) -> None:
+    """InputError when a camera's picture and its photo differ in shape by more than rounding
+    (turned or cropped photo).
+    """
+    if abs(w * size[1] - h * size[0]) > 1.5 * max(w, h, *size):
+        raise InputError(
+            f"the camera of '{name}' is {w:g}x{h:g}, the photo {size[0]}x{size[1]}: not the same shape",
+            where,
+            "use the very photos the cameras were made from (same crop, same EXIF rotation)",
+        )
+
+
+def _transforms_lens(data: dict, frame: dict, size: tuple[int, int], file: Path) -> Lens:
+    value = lambda key, default=None: frame.get(key, data.get(key, default))
+    extra = [k for k in ("k3", "k4", "k5", "k6") if value(k)]
+    if extra or "FISHEYE" in str(value("camera_model", "")).upper():
+        raise InputError(
+            f"lens model {value('camera_model', '')} with {extra or 'fisheye'} distortion is not supported",
+            file,
+            "undistort the photos first, or export with k1, k2, p1, p2 only",
+        )
+    w, h = value("w", size[0]), value("h", size[1])
+    check_shape(w, h, size, file, frame.get("file_path"))
+    if value("fl_x"):
+        fx = float(value("fl_x"))
+    elif value("camera_angle_x"):
+        fx = 0.5 * w / np.tan(0.5 * float(value("camera_angle_x")))
+    else:
+        raise InputError("neither fl_x nor camera_angle_x is given", file, "add the focal length")
+    return Lens(
+        int(w),
+        int(h),
+        fx,
+        float(value("fl_y", fx)),
+        float(value("cx", w / 2)),
+        float(value("cy", h / 2)),
+        tuple(float(value(k, 0.0)) for k in ("k1", "k2", "p1", "p2")),
+    )
+
+
+def read_transforms(
+    file: Path, scene: Path, sizes: dict[str, tuple[int, int]]
+) -> dict[str, tuple[Lens, np.ndarray]]:
+    """name -> (Lens, world-to-camera in the Y-up frame). `sizes`: each photo's original (width,
+    height).
+    """
+    data, out = json.loads(file.read_text(encoding="utf-8")), {}
+    for frame in data["frames"]:
+        name = photo_name(scene, scene / frame["file_path"])
+        matrix = np.array(frame.get("transform_matrix"), float)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise InputError(
+                f"frame '{frame['file_path']}' has no 4x4 transform_matrix",
+                file,
+                "export the cameras again",
+            )
+        out[name] = (
+            _transforms_lens(data, frame, sizes[name], file),
+            np.linalg.inv(Y_FROM_Z_UP @ matrix @ OPENCV_FROM_OPENGL),
+        )
+    return out
+
+
+def lens_of_colmap(camera) -> Lens:
+    """A pycolmap camera as Lens; InputError for models with more than OPENCV's distortion."""
+    p, name = list(camera.params), camera.model.name
+    layouts = {
+        "SIMPLE_PINHOLE": (0, 0, 1, 2, ()),
+        "PINHOLE": (0, 1, 2, 3, ()),
+        "SIMPLE_RADIAL": (0, 0, 1, 2, (3,)),
+        "RADIAL": (0, 0, 1, 2, (3, 4)),
+        "OPENCV": (0, 1, 2, 3, (4, 5, 6, 7)),
+    }
+    if name not in layouts:
+        raise InputError(
+            f"camera model {name} is not supported",
+            "sparse/0",
+            "convert the model to PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV",
+        )
+    a, b, c, d, rest = layouts[name]
+    k = tuple(p[i] for i in rest)
+    return Lens(camera.width, camera.height, p[a], p[b], p[c], p[d], k + (0.0,) * (4 - len(k)))
+
+
+def poses_of_model(model, names: dict[str, str]) -> dict[str, tuple[Lens, np.ndarray]]:
+    """Registered images of a pycolmap Reconstruction: name -> (Lens, world-to-camera). `names`:
+    image name -> name.
+    """
+    out = {}
+    for image in model.images.values():
+        if image.has_pose and image.name in names:
+            pose = np.eye(4)
+            pose[:3] = image.cam_from_world().matrix()
+            out[names[image.name]] = (lens_of_colmap(model.cameras[image.camera_id]), pose)
+    return out

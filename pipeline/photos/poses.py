@@ -1,0 +1,400 @@
+"""Cameras of a scene: given or by structure from motion; upright, near the origin; undistorted
+photos.
+
+Frame after this stage: right-handed, Y-up. For structure from motion the ground plane is y = 0, the
+object's axis passes through the origin and its diameter is `poses.object_size` metres (1 where
+unknown). Given cameras keep their own world.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from pipeline.base.config import Poses
+from pipeline.base.errors import InputError
+from pipeline.base.files import read_json
+from pipeline.base.images import read_exr, write_exr, write_png
+from pipeline.base.progress import progress
+from pipeline.geometry.cameras import Y_FROM_Z_UP, Rig, View, save_cameras
+from pipeline.photos.capture import camera_file
+from pipeline.photos.given_cameras import Lens, check_shape, poses_of_model, read_transforms
+from pipeline.photos.photometry import match_exposure
+from pipeline.photos.sfm import HINT, reconstruct, sparse_points
+
+
+def positions(poses: list[np.ndarray]) -> np.ndarray:
+    """Camera centres (n, 3) of world-to-camera matrices."""
+    return np.stack([-p[:3, :3].T @ p[:3, 3] for p in poses])
+
+
+def axes_meeting_point(poses: list[np.ndarray]) -> np.ndarray:
+    """Point nearest to all optical axes in the least-squares sense."""
+    centers, axes = positions(poses), np.stack([p[2, :3] for p in poses])
+    project = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    return np.linalg.solve(
+        project.sum(0) + 1e-9 * np.eye(3), (project @ centers[..., None]).sum(0)[:, 0]
+    )
+
+
+def mean_up(poses: list[np.ndarray]) -> np.ndarray:
+    up = -np.stack([p[1, :3] for p in poses]).mean(0)
+    return up / np.linalg.norm(up)
+
+
+def ground_plane(
+    xyz: np.ndarray, centers: np.ndarray, up: np.ndarray, middle: np.ndarray, seed: int
+):
+    """RANSAC over the points: (unit normal, offset, inlier share) of the plane n.x = offset, or
+    None.
+
+    A ground plane has its normal within 40 degrees of the cameras' mean up, all cameras above it,
+    and at least 12 % of the nearer points, or, like white paper with little to match on it, 4 % and
+    next to nothing below.
+    """
+    distance = np.median(np.linalg.norm(centers - middle, axis=1))
+    near = xyz[np.linalg.norm(xyz - middle, axis=1) < 1.5 * distance]
+    if len(near) < 50:
+        return None
+    rng, best, tolerance = np.random.default_rng(seed), (0.0, None), 0.01 * distance
+    for _ in range(6000):
+        a, b, c = near[rng.choice(len(near), 3, replace=False)]
+        n = np.cross(b - a, c - a)
+        n = n / (np.linalg.norm(n) + 1e-12)
+        n = n * np.sign(n @ up)
+        if n @ up < np.cos(np.radians(40)) or (centers @ n).min() < a @ n:
+            continue
+        height = near @ n - a @ n
+        score = (np.abs(height) < tolerance).mean() - 2.0 * (
+            height < -3 * tolerance
+        ).mean()  # ground has nothing below
+        if score > best[0]:
+            best = (score, (n, a @ n))
+    if best[1] is None:
+        return None
+    n, offset = best[1]
+    for _ in range(5):
+        inliers = near[np.abs(near @ n - offset) < tolerance]
+        center = inliers.mean(0)
+        n = np.linalg.svd(inliers - center, full_matrices=False)[2][2]
+        n = n * np.sign(n @ up)
+        offset = center @ n
+    height = near @ n - offset
+    share, below = (
+        float((np.abs(height) < tolerance).mean()),
+        float((height < -3 * tolerance).mean()),
+    )
+    bare = share >= 0.04 and share * len(near) >= 80 and below < 0.02
+    return (n, float(offset), share) if share >= 0.12 or bare else None
+
+
+def object_points(xyz, offsets, views, poses, lenses, plane, masks) -> np.ndarray:
+    """Sparse points that belong to the object: inside the masks if there are any, else above the
+    ground, central.
+    """
+    if masks is not None:
+        inside = np.zeros(len(xyz))
+        total = np.zeros(len(xyz))
+        for pose, lens, mask in zip(poses, lenses, masks):
+            p = xyz @ pose[:3, :3].T + pose[:3, 3]
+            u = lens.fx * p[:, 0] / p[:, 2] + lens.cx
+            v = lens.fy * p[:, 1] / p[:, 2] + lens.cy
+            seen = (p[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < lens.width) & (v < lens.height)
+            scale = mask.shape[1] / lens.width
+            total += seen
+            inside[seen] += (
+                mask[
+                    (v[seen] * scale).astype(int).clip(0, mask.shape[0] - 1),
+                    (u[seen] * scale).astype(int).clip(0, mask.shape[1] - 1),
+                ]
+                > 127
+            )
+        return xyz[(inside >= 0.9 * total) & (total >= 2)]
+    middle, centers = axes_meeting_point(poses), positions(poses)
+    distance = np.median(np.linalg.norm(centers - middle, axis=1))
+    up = plane[0] if plane is not None else mean_up(poses)
+    above = (
+        xyz @ plane[0] - plane[1] > 0.02 * distance
+        if plane is not None
+        else np.ones(len(xyz), bool)
+    )
+    sideways = (xyz - middle) - ((xyz - middle) @ up)[:, None] * up
+    central = (np.linalg.norm(sideways, axis=1) < 0.4 * distance) & (
+        ((xyz - middle) @ up) < 0.6 * distance
+    )
+    return xyz[above & central]
+
+
+def main_cluster(points: np.ndarray, bandwidth: float) -> np.ndarray:
+    """The largest group of points linked by steps shorter than `bandwidth`, and groups of at least
+    a third its size.
+    """
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    if len(points) > 5000:  # neighbour pairs grow with the square of the density
+        points = points[np.random.default_rng(0).choice(len(points), 5000, replace=False)]
+    graph = (
+        cKDTree(points)
+        .sparse_distance_matrix(cKDTree(points), bandwidth, output_type="coo_matrix")
+        .tocsr()
+    )
+    label = connected_components(graph, directed=False)[1]
+    counts = np.bincount(label)
+    return points[counts[label] >= counts.max() / 3]
+
+
+def object_sphere(points: np.ndarray, poses, plane) -> tuple[np.ndarray, float, str]:
+    """Centre and radius that hold the object's sparse points, and how they were found."""
+    middle, centers = axes_meeting_point(poses), positions(poses)
+    distance = np.median(np.linalg.norm(centers - middle, axis=1))
+    if len(points) >= 30:
+        points = main_cluster(points, 0.06 * distance)
+    if len(points) < 30:
+        return middle, 0.35 * float(distance), "optical axes (too few object points)"
+    if plane is not None:  # the object's foot on the ground belongs to it
+        foot = points - (points @ plane[0] - plane[1])[:, None] * plane[0]
+        points = np.concatenate([points, foot])
+    low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
+    center = 0.5 * (low + high)
+    return (
+        center,
+        float(np.percentile(np.linalg.norm(points - center, axis=1), 99)),
+        f"{len(points)} sparse points",
+    )
+
+
+def rotation_to_y(up: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) that takes `up` to +Y by the shortest way."""
+    v, c = np.cross(up, [0, 1, 0]), up[1]
+    if c < -0.999999:
+        return np.diag([1.0, -1, -1])
+    k = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + k + k @ k / (1 + c)
+
+
+def undistort(
+    image: np.ndarray, lens: Lens, interpolation=cv2.INTER_LINEAR
+) -> tuple[np.ndarray, Lens]:
+    """Pinhole version of an image, cropped by focal length so that no border shows; (image, its
+    Lens).
+    """
+    if not any(lens.distortion):
+        return image, lens
+    k = np.array(
+        [[lens.fx, 0, lens.cx - 0.5], [0, lens.fy, lens.cy - 0.5], [0, 0, 1]]
+    )  # OpenCV: centres at integers
+    d, size = np.array(lens.distortion), (lens.width, lens.height)
+    new, _ = cv2.getOptimalNewCameraMatrix(k, d, size, 0.0)
+    maps = cv2.initUndistortRectifyMap(k, d, None, new, size, cv2.CV_32FC1)
+    return (
+        cv2.remap(image, *maps, interpolation, borderMode=cv2.BORDER_REPLICATE),
+        Lens(*size, new[0, 0], new[1, 1], new[0, 2] + 0.5, new[1, 2] + 0.5),
+    )
+
+
+def similarity(
+    pose: np.ndarray, rotation: np.ndarray, shift: np.ndarray, scale: float
+) -> np.ndarray:
+    """World-to-camera for the new world x' = scale (R x) + shift."""
+    out = np.eye(4)
+    out[:3, :3] = pose[:3, :3] @ rotation.T
+    out[:3, 3] = scale * pose[:3, 3] - out[:3, :3] @ shift
+    return out
+
+
+def write_views(capture: Path, out: Path, photos: list[dict], lenses, poses) -> list[View]:
+    """Undistort photos and masks into `out`; the views in the order of `photos`."""
+    (out / "images").mkdir()
+    views = []
+    for p, lens, pose in zip(progress(photos, "undistorted photos"), lenses, poses):
+        image, pinhole = undistort(read_exr(capture / "images" / f"{p['name']}.exr"), lens)
+        write_exr(out / "images" / f"{p['name']}.exr", image, half=True)
+        if p["has_mask"]:
+            mask, _ = undistort(
+                np.asarray(Image.open(capture / "masks" / f"{p['name']}.png")),
+                lens,
+                cv2.INTER_NEAREST,
+            )
+            (out / "masks").mkdir(exist_ok=True)
+            write_png(out / "masks" / f"{p['name']}.png", mask)
+        views.append(
+            View(
+                p["name"],
+                f"images/{p['name']}.exr",
+                pinhole.width,
+                pinhole.height,
+                pinhole.fx,
+                pinhole.fy,
+                pinhole.cx,
+                pinhole.cy,
+                pose,
+                p["clip_level"],
+                p["split"],
+            )
+        )
+    return views
+
+
+def _estimated(capture: Path, photos: list[dict], scene: Path, settings: Poses, threads: int):
+    """Lens and pose per photo name from COLMAP (given model or reconstruction), the model and
+    facts.
+    """
+    import pycolmap
+
+    if (scene / "sparse" / "0").is_dir():
+        try:
+            model = pycolmap.Reconstruction(scene / "sparse" / "0")
+        except (ValueError, RuntimeError, OSError) as error:
+            raise InputError(
+                f"not a COLMAP model ({error})",
+                scene / "sparse" / "0",
+                "put cameras, images, points3D there",
+            ) from error
+        names = {Path(p["file"]).name: p["name"] for p in photos} | {
+            p["file"].removeprefix("images/"): p["name"] for p in photos
+        }
+        found, facts = poses_of_model(model, names), {"source": "colmap"}
+        missing = sorted(
+            i.name for i in model.images.values() if i.has_pose and i.name not in names
+        )
+        if missing:
+            raise InputError(
+                f"{len(missing)} of {len(model.images)} images of the model are not among the photos, first "
+                f"{missing[0]}",
+                scene / "sparse" / "0",
+                "add the photos, or remove those images from the model",
+            )
+        by_name = {p["name"]: p for p in photos}
+        for name, (lens, _) in found.items():
+            check_shape(
+                lens.width,
+                lens.height,
+                by_name[name]["original_size"],
+                scene / "sparse" / "0",
+                name,
+            )
+    else:
+        model, names, attempts = reconstruct(capture, photos, settings, threads)
+        found, facts = poses_of_model(model, names), {"source": "sfm", "attempts": attempts}
+    return (
+        found,
+        model,
+        names,
+        facts | {"reprojection_error_px": model.compute_mean_reprojection_error()},
+    )
+
+
+def upright(found, photos, model, names, capture: Path, settings: Poses):
+    """Turn, shift and scale a COLMAP world: poses, sphere, sparse points, facts."""
+    kept = [p for p in photos if p["name"] in found]
+    index = {p["name"]: k for k, p in enumerate(kept)}
+    poses, lenses = [found[p["name"]][1] for p in kept], [found[p["name"]][0] for p in kept]
+    order = {
+        i.image_id: index[names[i.name]]
+        for i in model.images.values()
+        if i.name in names and names[i.name] in index
+    }
+    xyz, rgb, error, offsets, views = sparse_points(model, order)
+    up, centers = mean_up(poses), positions(poses)
+    plane = ground_plane(xyz, centers, up, axes_meeting_point(poses), settings.seed)
+    masks = None
+    if all(p["has_mask"] for p in kept):
+        masks = [np.asarray(Image.open(capture / "masks" / f"{p['name']}.png")) for p in kept]
+    points = object_points(xyz, offsets, views, poses, lenses, plane, masks)
+    center, radius, how = object_sphere(points, poses, None if masks is not None else plane)
+    normal = plane[0] if plane is not None else up
+    rotation = rotation_to_y(normal) if settings.up == "auto" else np.eye(3)
+    scale = (settings.object_size or 1.0) / (2 * radius)
+    shift = -scale * (rotation @ center)
+    if settings.up == "auto":
+        ground = plane[1] if plane is not None else normal @ center - radius
+        shift[1] = -scale * ground
+    facts = {
+        "up": "ground plane" if plane is not None else "mean camera up (no ground plane found)",
+        "object_found_by": how,
+        "plane": None
+        if plane is None
+        else {
+            "normal": rotation @ plane[0],
+            "offset": scale * plane[1] + shift @ (rotation @ plane[0]),
+            "inlier_share": plane[2],
+        },
+    }
+    moved = [similarity(p, rotation, shift, scale) for p in poses]
+    world = np.eye(4)
+    world[:3, :3], world[:3, 3] = scale * rotation, shift
+    facts["world"] = world
+    points = {
+        "xyz": scale * xyz @ rotation.T + shift,
+        "rgb": rgb,
+        "error": error,
+        "offsets": offsets,
+        "views": views,
+    }
+    return (
+        kept,
+        lenses,
+        moved,
+        scale * rotation @ center + shift,
+        1.25 * scale * radius,
+        points,
+        facts,
+    )
+
+
+def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: int) -> dict:
+    """Write cameras.json, images/, masks/ and points.npz into `out`; returns metrics.
+
+    Raises InputError when cameras are unusable or photos do not connect.
+    """
+    photos, file = read_json(capture / "photos.json")["photos"], camera_file(scene)
+    if file:
+        sizes = {p["name"]: tuple(p["original_size"]) for p in photos}
+        found = read_transforms(file, scene, sizes)
+        if (scene / "transforms_test.json").exists():
+            found |= read_transforms(scene / "transforms_test.json", scene, sizes)
+        kept = [p for p in photos if p["name"] in found]
+        lenses, poses = zip(*(found[p["name"]] for p in kept))
+        center = axes_meeting_point(poses)
+        radius = 0.5 * float(np.median(np.linalg.norm(positions(poses) - center, axis=1)))
+        points = {
+            "xyz": np.zeros((0, 3)),
+            "rgb": np.zeros((0, 3), np.uint8),
+            "error": np.zeros(0),
+            "offsets": np.zeros(1, int),
+            "views": np.zeros(0, int),
+        }
+        facts = {
+            "source": "transforms.json",
+            "up": "the cameras' own world",
+            "plane": None,
+            "world": Y_FROM_Z_UP,
+        }
+    else:
+        found, model, names, facts = _estimated(capture, photos, scene, settings, threads)
+        kept, lenses, poses, center, radius, points, more = upright(
+            found, photos, model, names, capture, settings
+        )
+        facts |= more
+    if len(kept) < 3:
+        raise InputError(f"only {len(kept)} photos have a camera", scene, HINT)
+    lenses = [lens.at(p["width"], p["height"]) for lens, p in zip(lenses, kept)]
+    facts["unregistered"] = [
+        p["name"] for p in photos if p["name"] not in {k["name"] for k in kept}
+    ]
+    views = write_views(capture, out, kept, lenses, poses)
+    if settings.match_exposure:
+        views, matched = match_exposure(views, out, points)
+        facts |= matched
+    np.savez_compressed(out / "points.npz", **points)
+    save_cameras(out / "cameras.json", Rig(views, center, radius, facts["source"], facts))
+    return {
+        "registered": len(kept),
+        "photos": len(photos),
+        "points": len(points["xyz"]),
+        "radius": radius,
+    } | facts

@@ -1,0 +1,18 @@
+"""`map`: the fit itself as a sampler, for comparison."""
+
+from __future__ import annotations
+
+from pipeline.base.config import Sample
+from pipeline.posterior.problem import Problem
+from pipeline.prior.value_code import scale_of
+from pipeline.render.envmap import resample_area
+from pipeline.render.renderer import Explanation, resize_explanation
+
+
+def point_estimate(
+    problem: Problem, prior, start: Explanation, settings: Sample, seed: int
+) -> tuple[Explanation, dict]:
+    """`map`: the fit itself, the same for every seed."""
+    x = resize_explanation(start, settings.texture)
+    x.light = resample_area(start.light, prior.height, prior.width)
+    return x, {"scale": scale_of(start.light)}

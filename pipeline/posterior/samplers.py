@@ -1,0 +1,20 @@
+"""SAMPLERS: name -> function(problem, prior, start, settings, seed) -> Explanation, facts.
+
+`split_gibbs` is the default (base/config.py, Sample.method). To add one, write such a function and
+add a line here.
+"""
+
+from pipeline.posterior.dpi.as_published import dpi_paper
+from pipeline.posterior.dpi.as_released import dpi_code
+from pipeline.posterior.dpi.score_distillation import sds
+from pipeline.posterior.point_estimate import point_estimate
+from pipeline.posterior.split_gibbs.sampler import gaussian, split_gibbs
+
+SAMPLERS = {
+    "split_gibbs": split_gibbs,
+    "gaussian": gaussian,
+    "dpi_paper": dpi_paper,
+    "dpi_code": dpi_code,
+    "sds": sds,
+    "map": point_estimate,
+}

@@ -1,0 +1,1 @@
+"""The default sampler; sampler.py shows the whole loop."""

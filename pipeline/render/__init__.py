@@ -1,0 +1,1 @@
+"""The forward model: light, renderer, observed pixels, the transport operator, scores."""

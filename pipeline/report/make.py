@@ -1,0 +1,50 @@
+"""One self-contained HTML page per scene: inputs, geometry, every sample, what is certain and what
+is not, timings.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.base.config import Scene
+from pipeline.base.files import atomic_path, read_json
+from pipeline.geometry.cameras import load_cameras
+from pipeline.render.renderer import Explanation
+from pipeline.report.html import page
+from pipeline.report.pictures import Painter, contact_sheet
+
+STAGES = ("capture", "poses", "masks", "mesh", "atlas", "observe", "fit")
+
+
+def stage_facts(work: Path, samples: int) -> dict[str, dict]:
+    """The metrics that every stage wrote, in order of the work."""
+    facts = {s: read_json(work / s / f"{s}.json") for s in STAGES}
+    for k in range(samples):
+        facts[f"sample {k}"] = read_json(work / "sample" / str(k) / "sample.json")
+        facts[f"refine {k}"] = read_json(work / "refine" / str(k) / "refine.json")
+    return facts | {"export": read_json(work / "export.json")}
+
+
+def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
+    """Render the pictures and write `out`. Returns metrics; raises InputError when a stage's result
+    is missing.
+    """
+    facts = stage_facts(work, scene.samples)
+    rig = load_cameras(work / "poses" / "cameras.json")
+    explanations = [Explanation.load(work / "refine" / str(k)) for k in range(scene.samples)]
+    held = facts["observe"]["held_out"]
+    view = next((v for v in rig.views if held and v.name == held[0]), rig.views[0])
+    painter = Painter(work, view, scene)
+    samples = [painter.sample(x) for x in explanations]
+    pictures = {
+        "photos": contact_sheet(work, rig),
+        "masks": (work / "masks" / "overlay.jpg").read_bytes(),
+        "mesh": (work / "mesh" / "preview.png").read_bytes(),
+        "atlas": (work / "atlas" / "atlas.png").read_bytes(),
+        "photo": painter.photo_jpeg(),
+        "spread": painter.spread(explanations),
+    }
+    html = page(usd, scene, facts, pictures, samples, view.name, view.name in held)
+    with atomic_path(out) as temporary:
+        temporary.write_text(html, encoding="utf-8")
+    return {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": scene.samples}

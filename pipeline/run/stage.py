@@ -1,0 +1,85 @@
+"""What every stage's command line shares: configuration, folders in, folder out, threads, timing,
+plain errors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from pathlib import Path
+
+import yaml
+
+from pipeline.base import runtime
+from pipeline.base.config import Scene, load_scene
+from pipeline.base.errors import InputError, run_stage
+
+
+def overrides(settings: list[str]) -> dict:
+    """['preset=draft', 'mesh.grid=96'] -> nested mapping; values are YAML scalars."""
+    out: dict = {}
+    for item in settings:
+        key, found, value = item.partition("=")
+        if not found:
+            raise InputError(
+                f"expected key=value, got '{item}'", "--set", "for example --set mesh.grid=128"
+            )
+        *sections, last = key.split(".")
+        place = out
+        for section in sections:
+            place = place.setdefault(section, {})
+        place[last] = yaml.safe_load(value)
+    return out
+
+
+class Stage:
+    """Parsed command line of a stage: `.scene` (validated), `.out`, `.args` and one Path per input
+    folder.
+    """
+
+    def __init__(self, parser: argparse.ArgumentParser):
+        self.args = parser.parse_args()
+        self.scene: Scene = load_scene(self.args.config, overrides(self.args.set))
+        self.out: Path = self.args.out
+        self.start = time.monotonic()
+
+    def costs(self) -> dict:
+        """Wall seconds and peak resident memory of this process so far, for the stage's metrics."""
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        return {"seconds": round(time.monotonic() - self.start, 2), "peak_gib": round(peak, 3)}
+
+
+def stage(doc: str, inputs: dict[str, str], work, extra=None) -> None:
+    """Run `work(Stage)` as a command. `inputs` maps option names to help texts; `extra(parser)` may
+    add options.
+    """
+
+    def main():
+        parser = argparse.ArgumentParser(
+            description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        parser.add_argument("--config", required=True, type=Path, help="configs/<scene>.yaml")
+        parser.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="override one setting, e.g. preset=draft or mesh.grid=128",
+        )
+        for name, text in inputs.items():
+            parser.add_argument(f"--{name}", required=True, type=Path, help=text)
+        parser.add_argument(
+            "--out",
+            required=True,
+            type=Path,
+            help="folder (or file) to write; replaced when complete",
+        )
+        parser.add_argument("--threads", type=int, default=2)
+        if extra:
+            extra(parser)
+        parsed = Stage(parser)
+        runtime.set_threads(parsed.args.threads)
+        work(parsed)
+
+    run_stage(main)

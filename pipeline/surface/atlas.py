@@ -1,0 +1,123 @@
+"""One UV atlas in [0, 1]^2 without overlaps (xatlas), or the mesh's own where it is valid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.config import Atlas
+from pipeline.base.errors import InputError
+from pipeline.base.images import write_png
+from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh, vertex_normals
+
+# xatlas takes the resolution as a target and may exceed it: ask for less so that padding holds
+ASK = 0.82
+
+
+def rasterize(uv: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
+    """How many triangles cover each texel centre (size, size); row 0 is v = 1."""
+    corners = (uv * [1, -1] + [0, 1])[faces] * size
+    count = np.zeros((size, size), np.int32)
+    low = np.clip(np.floor(corners.min(1)).astype(int), 0, size)
+    high = np.clip(np.ceil(corners.max(1)).astype(int), 0, size)
+    for (a, b, c), (x0, y0), (x1, y1) in zip(corners, low, high):
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if x1 <= x0 or y1 <= y0 or abs(area) < 1e-12:
+            continue
+        x, y = np.meshgrid(np.arange(x0, x1) + 0.5, np.arange(y0, y1) + 0.5)
+        s = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+        t = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+        count[y0:y1, x0:x1] += (s > 1e-6) & (t > 1e-6) & (s + t < 1 - 1e-6)
+    return count
+
+
+def judge(uv: np.ndarray, faces: np.ndarray, size: int = 1024) -> dict:
+    """Area used, share of covered texels that are covered twice, and whether all UVs lie in [0,
+    1].
+    """
+    count = rasterize(uv, faces, size)
+    return {
+        "utilisation": float((count > 0).mean()),
+        "overlap": float((count > 1).sum() / max((count > 0).sum(), 1)),
+        "in_range": bool(np.isfinite(uv).all() and uv.min() >= -1e-4 and uv.max() <= 1 + 1e-4),
+    }
+
+
+def unwrap(mesh: Mesh, settings: Atlas) -> tuple[Mesh, int]:
+    """Charts by xatlas, packed into one square; vertices are split at seams. (Mesh with uv, number
+    of charts).
+    """
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(
+        mesh.vertices.astype(np.float32),
+        mesh.faces.astype(np.uint32),
+        mesh.normals.astype(np.float32),
+    )
+    pack = xatlas.PackOptions()
+    pack.resolution, pack.padding, pack.bilinear = (
+        max(16, int(ASK * settings.resolution)),
+        settings.padding,
+        True,
+    )
+    atlas.generate(xatlas.ChartOptions(), pack)
+    if atlas.atlas_count != 1:
+        raise InputError(
+            f"the surface needs {atlas.atlas_count} atlas pages",
+            "atlas",
+            "raise atlas.resolution or lower mesh.faces or atlas.padding",
+        )
+    index, faces, uv = atlas[0]
+    longest = max(atlas.width, atlas.height)
+    uv = uv * [atlas.width / longest, atlas.height / longest]  # keep texels square
+    return Mesh(
+        mesh.vertices[index], faces.astype(np.int64), mesh.normals[index], uv.astype(np.float64)
+    ), atlas.chart_count
+
+
+def layout(uv: np.ndarray, faces: np.ndarray, size: int = 512) -> np.ndarray:
+    """Picture of the charts (size, size, 3) uint8."""
+    count = rasterize(uv, faces, size)
+    colors = np.array([[24, 26, 30], [120, 170, 210], [230, 60, 60]], np.uint8)
+    return colors[np.minimum(count, 2)]
+
+
+def make_atlas(mesh_path: Path, out: Path, settings: Atlas) -> dict:
+    """Write mesh_uv.ply, mesh_uv.obj and atlas.png into `out`; returns metrics."""
+    mesh, why, charts = load_mesh(mesh_path), "the mesh has no UVs", None
+    own = judge(mesh.uv, mesh.faces) if mesh.uv is not None else None
+    if own and own["in_range"] and own["overlap"] < 0.005:
+        kept, facts, why = mesh, own, "the mesh's own UVs are a valid atlas"
+    else:
+        if own:
+            why = f"the mesh's own UVs are not an atlas ({100 * own['overlap']:.1f} % overlap, in [0, 1]: {own['in_range']})"
+            mesh = weld(mesh)
+        kept, charts = unwrap(mesh, settings)
+        facts = judge(kept.uv, kept.faces)
+    if not facts["in_range"] or facts["overlap"] > 0.01:
+        raise InputError(
+            f"the atlas overlaps itself ({100 * facts['overlap']:.1f} % of its texels)",
+            "atlas",
+            "lower mesh.faces, or give a mesh with good UVs",
+        )
+    save_mesh(out / "mesh_uv.ply", kept)
+    save_mesh(out / "mesh_uv.obj", kept)
+    write_png(out / "atlas.png", layout(kept.uv, kept.faces))
+    return {
+        "charts": charts,
+        "why": why,
+        "faces": len(kept.faces),
+        "vertices": len(kept.vertices),
+    } | facts
+
+
+def weld(mesh: Mesh) -> Mesh:
+    """Undo splits at old seams so that they do not become chart borders."""
+    vertices, index = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
+    faces = index.reshape(-1)[mesh.faces]
+    faces = faces[
+        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    ]
+    return Mesh(vertices, faces, vertex_normals(vertices, faces))

@@ -1,0 +1,136 @@
+"""Small shared tools: whole files, progress, metrics, code digests, doctor."""
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+from pipeline.base.errors import InputError, nearest
+from pipeline.base.files import atomic_path, read_json, stage_folder, write_json
+from pipeline.base.progress import progress
+from pipeline.base.runtime import set_threads
+from pipeline.render.metrics import light_psnr, psnr
+from pipeline.run.workflow import code_digest, only_one_run
+
+
+def test_a_failing_write_leaves_the_old_file(tmp_path):
+    write_json(tmp_path / "a.json", {"x": np.float32(1.5), "y": np.arange(2)})
+    with pytest.raises(RuntimeError):
+        with atomic_path(tmp_path / "a.json") as temporary:
+            temporary.write_text("half")
+            raise RuntimeError
+    assert (
+        read_json(tmp_path / "a.json") == {"x": 1.5, "y": [0, 1]}
+        and len(list(tmp_path.iterdir())) == 1
+    )
+
+
+def test_a_failing_stage_leaves_the_old_folder(tmp_path):
+    with stage_folder(tmp_path / "s") as out:
+        (out / "result").write_text("old")
+    with pytest.raises(RuntimeError):
+        with stage_folder(tmp_path / "s") as out:
+            (out / "result").write_text("new")
+            raise RuntimeError
+    assert (tmp_path / "s" / "result").read_text() == "old"
+    with stage_folder(tmp_path / "s") as out:
+        (out / "result").write_text("new")
+    assert (tmp_path / "s" / "result").read_text() == "new" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_missing_and_broken_json_are_named(tmp_path):
+    (tmp_path / "b.json").write_text("{")
+    for name, fact in (("a.json", "missing"), ("b.json", "not valid JSON")):
+        with pytest.raises(InputError, match=fact):
+            read_json(tmp_path / name)
+
+
+def test_unwritable_folder_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be made"):
+        write_json(tmp_path / "file" / "a.json", {})
+
+
+def test_progress_tells_time_left(capsys):
+    assert list(progress(range(3), "work")) == [0, 1, 2]
+    assert "work: 3/3, took 0:00" in capsys.readouterr().err
+
+
+def test_psnr_of_known_errors():
+    a = np.full((4, 4, 3), 0.5)
+    from pipeline.base.images import linear_to_srgb, srgb_to_linear
+
+    b = srgb_to_linear(linear_to_srgb(a) + 0.1)
+    assert np.isclose(psnr(a, b), 20, atol=0.01)
+    mask = np.zeros((4, 4), bool)
+    mask[0] = True
+    b[1:] = 9
+    assert np.isclose(psnr(a, b, mask), 20, atol=0.01)
+
+
+def test_psnr_of_two_noisy_renders_is_that_of_the_picture_without_noise():
+    rng, photo = np.random.default_rng(0), np.full((100, 100, 3), 0.3)
+    shown = 1.2 * photo
+    noisy = lambda: shown + rng.normal(scale=0.025, size=shown.shape)
+    a, b = noisy(), noisy()
+    assert (
+        np.isclose(psnr(a, photo, again=b), psnr(shown, photo), atol=0.1)
+        and psnr(a, photo) < psnr(shown, photo) - 0.4
+    )
+
+
+def test_light_psnr_ignores_one_scale():
+    env = np.random.default_rng(0).uniform(0.1, 2, (8, 16, 3))
+    assert light_psnr(env, 3 * env) > 80 > light_psnr(env, env[::-1])
+
+
+def test_digest_follows_imports_and_only_them(monkeypatch):
+    from pipeline.run import workflow
+
+    before = {s: code_digest(s) for s in ("masks", "atlas", "sample")}
+    original = type(workflow.ROOT).read_bytes
+    monkeypatch.setattr(
+        type(workflow.ROOT),
+        "read_bytes",
+        lambda self: b"changed" if self.name == "as_published.py" else original(self),
+    )
+    after = {s: code_digest(s) for s in before}
+    assert (
+        before["sample"] != after["sample"]
+        and before["masks"] == after["masks"]
+        and before["atlas"] == after["atlas"]
+    )
+
+
+def test_only_one_run_at_a_time(tmp_path):
+    first = only_one_run(tmp_path / ".running")
+    with pytest.raises(InputError, match="another run"):
+        only_one_run(tmp_path / ".running")
+    first.close()
+    only_one_run(tmp_path / ".running").close()
+
+
+def test_nearest_name():
+    assert "draft" in nearest("drfat", ["draft", "standard"]) and "known names" in nearest(
+        "zzz", ["draft"]
+    )
+
+
+def test_doctor_renders(monkeypatch):
+    from pipeline.run import doctor
+
+    assert "8x8" in doctor.render()
+    monkeypatch.setattr(doctor, "STACK", ("no-such-package",))
+    assert doctor.versions() == [
+        (False, "no-such-package is missing: pip install -r requirements.lock")
+    ]
+
+
+def test_threads_reach_a_blas_that_is_loaded():
+    """It read its variables when numpy was imported; with another number its sums are others."""
+    before = {pool["filepath"]: pool["num_threads"] for pool in threadpool_info()}
+    assert before
+    try:
+        set_threads(1)
+        assert all(pool["num_threads"] == 1 for pool in threadpool_info())
+    finally:
+        set_threads(max(before.values()))

@@ -1,0 +1,205 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from pipeline.base.config import Capture
+from pipeline.base.errors import InputError
+from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write_exr
+from pipeline.photos.capture import capture, find_photos
+
+PHOTO = (np.random.default_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    folder = tmp_path / "schöner Garten 1"
+    (folder / "images").mkdir(parents=True)
+    for k in range(4):
+        Image.fromarray(PHOTO).save(folder / "images" / f"bild {k} ä.png")
+    return folder
+
+
+def run(scene, tmp_path, **settings):
+    out = tmp_path / "out"
+    out.mkdir()
+    metrics = capture(scene, out, Capture(**settings))
+    return out, metrics, json.loads((out / "photos.json").read_text(encoding="utf-8"))["photos"]
+
+
+def test_srgb_curve_is_inverted():
+    x = np.linspace(0, 1, 256, dtype=np.float32)
+    assert np.allclose(linear_to_srgb(srgb_to_linear(x)), x, atol=1e-5)
+    assert np.isclose(srgb_to_linear(np.array(0.5)), 0.21404, atol=1e-4)
+
+
+def test_eight_bit_photos_become_linear(scene, tmp_path):
+    out, metrics, photos = run(scene, tmp_path)
+    assert metrics["photos"] == 4
+    assert np.allclose(
+        read_exr(out / "images" / "bild 2 ä.exr"), srgb_to_linear(PHOTO / 255.0), atol=1e-3
+    )
+
+
+def test_every_kind_of_file_shows_the_same_picture(scene, tmp_path):
+    """CMYK, 16 bit, EXIF-rotated and EXR copies all decode to the upright original."""
+    images = scene / "images"
+    smooth = np.broadcast_to(np.linspace(30, 220, 36)[None, :, None], (24, 36, 3)).astype(np.uint8)
+    Image.fromarray(smooth).convert("CMYK").save(images / "cmyk.jpg", quality=100)
+    cv2.imwrite(str(images / "deep.png"), (smooth[..., ::-1].astype(np.uint16) * 257))
+    exif = Image.Exif()
+    exif[0x0112] = 6  # stored turned: rotate 90 degrees clockwise to show
+    Image.fromarray(np.rot90(smooth)).save(images / "turned.png", exif=exif)
+    write_exr(images / "linear.exr", srgb_to_linear(smooth / 255.0))
+    out, _, photos = run(scene, tmp_path)
+    expected = srgb_to_linear(smooth / 255.0)
+    for name, tolerance in (("cmyk", 0.03), ("deep", 1e-3), ("turned", 1e-3), ("linear", 1e-3)):
+        assert np.allclose(read_exr(out / "images" / f"{name}.exr"), expected, atol=tolerance), name
+
+
+def test_mixed_sizes_are_resized_each(scene, tmp_path):
+    Image.fromarray(np.zeros((50, 80, 3), np.uint8)).save(scene / "images" / "big.png")
+    _, metrics, photos = run(scene, tmp_path, max_size=64)
+    assert {(p["width"], p["height"]) for p in photos} == {(36, 24), (64, 40)}
+
+
+def test_alpha_becomes_a_mask_and_does_not_darken_edges(tmp_path):
+    folder = tmp_path / "s"
+    (folder / "images").mkdir(parents=True)
+    rgba = np.full((32, 32, 4), 200, np.uint8)
+    rgba[..., 3] = 0
+    rgba[7:25, 7:25, 3] = 255
+    rgba[rgba[..., 3] == 0, :3] = 0
+    for k in range(3):
+        Image.fromarray(rgba).save(folder / "images" / f"{k}.png")
+    out = tmp_path / "out"
+    out.mkdir()
+    assert capture(folder, out, Capture(max_size=64))["masks"] == 3
+    mask = np.asarray(Image.open(out / "masks" / "0.png")) > 0
+    assert mask.sum() == 18 * 18
+    assert np.allclose(
+        read_exr(out / "images" / "0.exr")[mask], srgb_to_linear(np.array(200 / 255)), atol=2e-3
+    )
+
+
+def test_exposure_is_divided_out(scene, tmp_path):
+    for k, seconds in enumerate((0.01, 0.02, 0.01, 0.01)):
+        exif = Image.Exif()
+        ifd = exif.get_ifd(0x8769)
+        ifd[0x829A], ifd[0x829D], ifd[0x8827] = seconds, 4.0, 100
+        (scene / "images" / f"bild {k} ä.png").unlink()
+        Image.fromarray(PHOTO).save(
+            scene / "images" / f"p{k}.jpg", quality=100, subsampling=0, exif=exif
+        )
+    out, metrics, photos = run(scene, tmp_path)
+    a, b = (read_exr(out / "images" / f"p{k}.exr") for k in (0, 1))
+    assert np.allclose(a, 2 * b, rtol=0.01, atol=1e-3) and "2.00" in metrics["exposure"]
+
+
+@pytest.mark.parametrize(
+    "break_it, fact",
+    [
+        (lambda s: [p.unlink() for p in (s / "images").iterdir()], "no photos"),
+        (lambda s: [p.unlink() for p in sorted((s / "images").iterdir())[2:]], "at least 3"),
+        (
+            lambda s: (s / "images" / "cut.jpg").write_bytes(_jpeg()[: len(_jpeg()) // 2]),
+            "cut.jpg.*cannot be read",
+        ),
+        (lambda s: _mask(s, np.full((10, 10), 255, np.uint8)), "10x10"),
+        (lambda s: _mask(s, np.zeros((24, 36), np.uint8)), "all black"),
+        (lambda s: _mask(s, np.full((24, 36), 255, np.uint8)), "have no mask"),
+        (lambda s: Image.fromarray(PHOTO).save(s / "images" / "bild 1 ä.jpg"), "two photos"),
+        (
+            lambda s: (s / "transforms.json").write_text(
+                json.dumps({"frames": [{"file_path": "images/none.png"}] * 3})
+            ),
+            "not there",
+        ),
+    ],
+)
+def test_bad_input_is_named(scene, tmp_path, break_it, fact):
+    break_it(scene)
+    with pytest.raises(InputError, match=fact):
+        run(scene, tmp_path)
+
+
+def _jpeg() -> bytes:
+    import io
+
+    buffer = io.BytesIO()
+    Image.fromarray(PHOTO).save(buffer, "JPEG")
+    return buffer.getvalue()
+
+
+def _mask(scene, mask):
+    (scene / "masks").mkdir()
+    Image.fromarray(mask).save(scene / "masks" / "bild 1 ä.png")
+
+
+def test_hidden_and_mask_files_are_no_photos(scene):
+    (scene / "images" / ".hidden.png").write_bytes(b"x")
+    assert len(find_photos(scene)) == 4
+
+
+def test_dots_in_names_stay_apart_and_unnamed_photos_are_told(scene, tmp_path, capsys):
+    """`file_path` without suffix but with a dot; photos no frame names are recorded, not used."""
+    for k in range(3):
+        Image.fromarray(PHOTO).save(scene / "images" / f"frame.{k}.png")
+    frames = [
+        {"file_path": f"images/frame.{k}", "transform_matrix": np.eye(4).tolist()} for k in range(3)
+    ]
+    (scene / "transforms.json").write_text(json.dumps({"camera_angle_x": 1.0, "frames": frames}))
+    out, metrics, photos = run(scene, tmp_path)
+    assert [p["name"] for p in photos] == ["frame.0", "frame.1", "frame.2"] and metrics[
+        "unused"
+    ] == 4
+    assert all((out / "images" / f"{p['name']}.exr").exists() for p in photos)
+    assert "bild 0" in capsys.readouterr().err
+
+
+def test_sixteen_bit_tiff_and_grey(scene, tmp_path):
+    ramp = np.broadcast_to(np.linspace(0, 65535, 36)[None], (24, 36)).astype(np.uint16)
+    cv2.imwrite(str(scene / "images" / "deep.tif"), np.stack([ramp] * 3, -1))
+    cv2.imwrite(str(scene / "images" / "grey.png"), ramp)
+    out, _, _ = run(scene, tmp_path)
+    for name in ("deep", "grey"):
+        assert np.allclose(
+            read_exr(out / "images" / f"{name}.exr")[..., 1],
+            srgb_to_linear(ramp / 65535.0),
+            atol=1e-3,
+        ), name
+
+
+@pytest.mark.parametrize(
+    "name, save, fact",
+    [
+        (
+            "float.tif",
+            lambda p: Image.fromarray(np.ones((8, 8), np.float32)).save(p),
+            "32 bits per channel",
+        ),
+        ("text.png", lambda p: p.write_text("no picture"), "cannot be read"),
+    ],
+)
+def test_unusable_photo_is_named(scene, tmp_path, name, save, fact):
+    save(scene / "images" / name)
+    with pytest.raises(InputError, match=f"{name}.*{fact}"):
+        run(scene, tmp_path)
+
+
+def test_broken_mask_is_named(scene, tmp_path):
+    (scene / "masks").mkdir()
+    (scene / "masks" / "bild 1 ä.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match="bild 1.*mask cannot be read"):
+        run(scene, tmp_path)
+
+
+def test_focal_guess_and_its_source():
+    from pipeline.photos.capture import focal_guess
+
+    assert focal_guess({"width": 720, "height": 360, "focal_35mm": 50.0})[
+        "focal_px"
+    ] == pytest.approx(1000)
+    assert "assumed" in focal_guess({"width": 100, "height": 200})["focal_source"]

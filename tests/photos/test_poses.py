@@ -1,0 +1,253 @@
+import json
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import InputError
+from pipeline.geometry.cameras import Rig, View, load_cameras, save_cameras
+from pipeline.photos.given_cameras import Lens, read_transforms
+from pipeline.photos.poses import (
+    axes_meeting_point,
+    ground_plane,
+    rotation_to_y,
+    similarity,
+    undistort,
+)
+
+
+def test_cameras_survive_the_disk(tmp_path, ring):
+    save_cameras(
+        tmp_path / "c.json", Rig(ring(3), np.array([1.0, 2, 3]), 0.5, "sfm", {"plane": None})
+    )
+    rig = load_cameras(tmp_path / "c.json")
+    assert rig.views[1].name == "v1" and np.allclose(rig.center, [1, 2, 3])
+    assert np.allclose(rig.views[2].world_to_camera, ring(3)[2].world_to_camera)
+
+
+def test_rays_and_projection_are_inverse(ring):
+    view = ring(5)[3]
+    uv = np.random.default_rng(0).uniform(0, 64, (50, 2))
+    o, d = view.rays(uv)
+    back, depth = view.project(o + 2.5 * d)
+    assert np.allclose(back, uv) and (depth > 0).all() and np.allclose(np.linalg.norm(d, axis=1), 1)
+
+
+def test_transforms_put_a_point_where_blender_would(tmp_path):
+    """A camera on +Y (Z-up world) looking at the origin: +Z is up in the picture, +X to its
+    left.
+    """
+    matrix = np.array([[-1, 0, 0, 0], [0, 0, 1, 3.0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    (tmp_path / "transforms.json").write_text(
+        json.dumps(
+            {
+                "camera_angle_x": 2 * np.arctan(0.5),
+                "frames": [{"file_path": "./train/r_0", "transform_matrix": matrix.tolist()}],
+            }
+        )
+    )
+    lens, pose = read_transforms(tmp_path / "transforms.json", tmp_path, {"train_r_0": (100, 80)})[
+        "train_r_0"
+    ]
+    assert np.isclose(lens.fx, 100) and lens.cx == 50 and lens.cy == 40
+    view = View("v", "", 100, 80, lens.fx, lens.fy, lens.cx, lens.cy, pose)
+    up, _ = view.project(np.array([0.0, 0.1, 0.0]))  # library frame: Y-up; Blender's +Z
+    left, _ = view.project(np.array([0.1, 0.0, 0.0]))
+    assert (
+        np.isclose(up[0], 50)
+        and up[1] < 40
+        and left[0] < 50
+        and np.allclose(view.position, [0, 0, -3])
+    )
+
+
+def test_frame_without_a_matrix_is_named(tmp_path):
+    (tmp_path / "t.json").write_text(
+        json.dumps(
+            {"camera_angle_x": 1.0, "frames": [{"file_path": "a.png", "transform_matrix": [[1]]}]}
+        )
+    )
+    with pytest.raises(InputError, match="a.png"):
+        read_transforms(tmp_path / "t.json", tmp_path, {"a": (10, 10)})
+
+
+def test_colmap_model_passes_through(tmp_path):
+    import pycolmap
+
+    from pipeline.photos.given_cameras import poses_of_model
+
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(
+        model="SIMPLE_RADIAL", width=100, height=80, params=[90, 50, 40, 0.01], camera_id=1
+    )
+    model.add_camera_with_trivial_rig(camera)
+    image = pycolmap.Image(name="a.jpg", camera_id=1, image_id=1)
+    model.add_image_with_trivial_frame(
+        image, pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0.1, 0.2, 3.0]))
+    )
+    lens, pose = poses_of_model(model, {"a.jpg": "a"})["a"]
+    assert lens == Lens(100, 80, 90, 90, 50, 40, (0.01, 0.0, 0.0, 0.0)) and np.allclose(
+        pose[:3, 3], [0.1, 0.2, 3.0]
+    )
+
+
+def test_ground_is_found_and_turned_level(ring):
+    rng = np.random.default_rng(0)
+    tilt = rotation_to_y(np.array([0.2, 0.9, 0.1]) / np.linalg.norm([0.2, 0.9, 0.1])).T
+    flat = np.concatenate(
+        [
+            np.stack([rng.uniform(-1, 1, 400), np.zeros(400) - 0.4, rng.uniform(-1, 1, 400)], 1),
+            rng.uniform(-0.3, 0.3, (300, 3)) + [0, -0.1, 0],
+        ]
+    )
+    centers = np.stack([v.position for v in ring(8, elevation=40) if v.position[1] > 0])
+    n, offset, share = ground_plane(
+        flat @ tilt.T, centers @ tilt.T, tilt @ [0, 1, 0], np.zeros(3), 0
+    )
+    assert (
+        np.degrees(np.arccos(n @ tilt @ [0, 1, 0])) < 0.5
+        and abs(offset + 0.4) < 0.01
+        and share > 0.4
+    )
+
+
+def test_no_ground_in_a_cloud_of_points(ring):
+    cloud = np.random.default_rng(0).normal(size=(500, 3))
+    centers = np.stack([v.position for v in ring(8)])
+    assert ground_plane(cloud, centers, np.array([0, 1.0, 0]), np.zeros(3), 0) is None
+
+
+def test_axes_meet_at_the_target(ring):
+    assert np.allclose(axes_meeting_point([v.world_to_camera for v in ring(6)]), 0, atol=1e-6)
+
+
+def test_similarity_moves_points_and_cameras_together(ring):
+    view = ring(4)[1]
+    rotation, shift, scale = rotation_to_y(np.array([0.6, 0.8, 0])), np.array([0.3, -1, 2]), 2.5
+    moved = View(
+        "m",
+        "",
+        64,
+        64,
+        view.fx,
+        view.fy,
+        view.cx,
+        view.cy,
+        similarity(view.world_to_camera, rotation, shift, scale),
+    )
+    point = np.array([0.2, 0.1, -0.3])
+    assert np.allclose(moved.project(scale * rotation @ point + shift)[0], view.project(point)[0])
+
+
+def test_undistorted_straight_lines():
+    """Distort a grid of points by hand; undistorting must bring a dot back to where the pinhole
+    sees it.
+    """
+    lens = Lens(200, 160, 180, 180, 100, 80, (-0.2, 0.0, 0.0, 0.0))
+    x, y = 0.35, 0.25
+    r2 = x * x + y * y
+    u, v = 180 * x * (1 - 0.2 * r2) + 100, 180 * y * (1 - 0.2 * r2) + 80
+    rows, columns = np.mgrid[0:160, 0:200]
+    image = np.exp(-((columns + 0.5 - u) ** 2 + (rows + 0.5 - v) ** 2) / 8).astype(np.float32)
+    straight, new = undistort(image, lens)
+    weight = straight / straight.sum()
+    center = (weight * (columns + 0.5)).sum(), (weight * (rows + 0.5)).sum()
+    assert np.allclose(center, (new.fx * x + new.cx, new.fy * y + new.cy), atol=0.3)
+
+
+@pytest.mark.parametrize(
+    "more, fact",
+    [
+        ({"camera_model": "OPENCV_FISHEYE"}, "fisheye"),
+        ({"k3": 0.1}, "k3"),
+        ({"w": 80, "h": 100}, "not the same shape"),
+    ],
+)
+def test_cameras_that_would_be_misread_are_refused(tmp_path, more, fact):
+    frames = [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}]
+    (tmp_path / "t.json").write_text(json.dumps({"camera_angle_x": 1.0, "frames": frames} | more))
+    with pytest.raises(InputError, match=fact):
+        read_transforms(tmp_path / "t.json", tmp_path, {"a": (100, 80)})
+
+
+def _captured(tmp_path, pictures):
+    from PIL import Image
+
+    from pipeline.base.config import Capture
+    from pipeline.photos.capture import capture
+
+    (tmp_path / "scene" / "images").mkdir(parents=True)
+    for k, picture in enumerate(pictures):
+        Image.fromarray(picture).save(tmp_path / "scene" / "images" / f"{k}.png")
+    (tmp_path / "capture").mkdir()
+    capture(tmp_path / "scene", tmp_path / "capture", Capture())
+    (tmp_path / "poses").mkdir()
+    return tmp_path / "capture", tmp_path / "scene", tmp_path / "poses"
+
+
+@pytest.mark.parametrize("kind", ["blank", "unrelated"])
+def test_photos_that_do_not_connect_are_refused(tmp_path, kind):
+    from pipeline.base.config import Poses
+    from pipeline.photos.poses import make_poses
+
+    rng = np.random.default_rng(3)
+    pictures = [
+        np.full((90, 120, 3), 120, np.uint8)
+        if kind == "blank"
+        else np.kron(rng.integers(0, 255, (15, 20, 3)), np.ones((6, 6, 1))).astype(np.uint8)
+        for _ in range(4)
+    ]
+    with pytest.raises(InputError, match="only 0 of 4 photos.*\n.*overlap"):
+        make_poses(*_captured(tmp_path, pictures), Poses(max_size=200, features=500), 2)
+
+
+def _model(folder, names, ring):
+    """A COLMAP model of exact pinhole cameras (no points) on disk, in its usual y-down world."""
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(model="PINHOLE", width=64, height=64, params=[90, 90, 32, 32], camera_id=1)
+    )
+    turn = np.diag([1.0, -1, -1])
+    for k, (name, view) in enumerate(zip(names, ring(len(names)))):
+        pose = pycolmap.Rigid3d(
+            pycolmap.Rotation3d(view.world_to_camera[:3, :3] @ turn.T), view.world_to_camera[:3, 3]
+        )
+        model.add_image_with_trivial_frame(
+            pycolmap.Image(name=name, camera_id=1, image_id=k + 1), pose
+        )
+    folder.mkdir(parents=True)
+    model.write(folder)
+
+
+def test_colmap_folder_without_points_is_turned_upright(tmp_path, ring):
+    from pipeline.base.config import Poses
+    from pipeline.photos.poses import make_poses
+
+    noise = np.random.default_rng(0).integers(0, 255, (6, 64, 64, 3)).astype(np.uint8)
+    capture, scene, out = _captured(tmp_path, list(noise))
+    _model(scene / "sparse" / "0", [f"{k}.png" for k in range(6)], ring)
+    metrics = make_poses(capture, scene, out, Poses(), 2)
+    rig = load_cameras(out / "cameras.json")
+    assert (
+        metrics["source"] == "colmap"
+        and metrics["registered"] == 6
+        and "mean camera up" in metrics["up"]
+    )
+    ups = np.stack([-v.world_to_camera[1, :3] for v in rig.views])
+    assert (ups[:, 1] > 0.8).all()
+    for v in rig.views:  # every optical axis still passes the object's centre
+        uv, depth = v.project(rig.center)
+        assert np.allclose(uv, 32, atol=1e-3) and depth > 0
+
+
+def test_model_with_images_that_are_not_there_is_refused(tmp_path, ring):
+    from pipeline.base.config import Poses
+    from pipeline.photos.poses import make_poses
+
+    capture, scene, out = _captured(
+        tmp_path, [np.zeros((64, 64, 3), np.uint8) + k for k in range(4)]
+    )
+    _model(scene / "sparse" / "0", [f"{k}.png" for k in range(3)] + ["lost.png"], ring)
+    with pytest.raises(InputError, match="lost.png"):
+        make_poses(capture, scene, out, Poses(), 2)

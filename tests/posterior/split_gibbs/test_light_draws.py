@@ -1,0 +1,316 @@
+"""The sampler against posteriors known in closed form."""
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.posterior.split_gibbs.light_draws import (
+    SLICES,
+    Curvature,
+    Laplace,
+    LightLikelihood,
+    draw_light,
+    prior_steps,
+    widths,
+)
+from pipeline.posterior.split_gibbs.pooling import Fold, Pool, Whole
+from pipeline.prior.gaussian import OPPONENT, GaussianPrior, spectra
+from pipeline.prior.sampling import reverse_diffusion
+from pipeline.prior.value_code import Code
+
+
+@pytest.fixture
+def gaussian():
+    """A Gaussian prior over 4x8 codes with correlated pixels and a mean."""
+    rng = np.random.default_rng(0)
+    root = torch.from_numpy(rng.normal(size=(3, 5, 4, 4)) * 0.2).float()
+    covariance = root @ root.transpose(-1, -2) + 0.02 * torch.eye(4)
+    return GaussianPrior(torch.linspace(-0.3, 0.3, 12).reshape(3, 4), covariance, Code(-0.5, 1.3))
+
+
+def dense(prior: GaussianPrior) -> torch.Tensor:
+    """Covariance (96, 96) by applying it to every unit vector."""
+    size = 3 * prior.height * prior.width
+    return prior.filtered(
+        torch.eye(size).reshape(size, 3, prior.height, prior.width), lambda v: v
+    ).reshape(size, size)
+
+
+class Linear(LightLikelihood):
+    """y_c = J_c z_c + noise of deviation 1."""
+
+    def __init__(self, J, y):
+        self.J, self.y = J, y
+
+    def value(self, z):
+        return -0.5 * float(self.residual(z).square().sum())
+
+    def residual(self, z):
+        return self.y - torch.einsum("cnm,cm->cn", self.J, z)
+
+    def expansion(self, z):
+        return self.J, self.residual(z), Whole()
+
+
+def chain(prior, likelihood, rhos, seed):
+    """One draw, as in pipeline/posterior/ours.py without materials."""
+    rng, noise = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
+    shape = (1, 3, prior.height, prior.width)
+    x = reverse_diffusion(
+        prior, 20 * torch.randn(shape, generator=noise), 20.0, 10, None, rng, noise
+    )
+    z = x.reshape(3, -1)
+    for rho in rhos:
+        z = draw_light(likelihood, x.reshape(3, -1), z, float(rho), 2, rng, noise)
+        x = reverse_diffusion(
+            prior, z.reshape(shape), float(rho), prior_steps(rho), None, rng, noise
+        )
+    return x.reshape(-1)
+
+
+def test_denoiser_is_the_conditional_mean(gaussian):
+    """Closed form against dense linear algebra."""
+    C = dense(gaussian)
+    x, mean = (
+        torch.randn(1, 3, 4, 8, generator=torch.Generator().manual_seed(1)),
+        gaussian.mean.expand(1, 3, 4, 8).reshape(-1),
+    )
+    expected = mean + C @ torch.linalg.solve(C + 0.49 * torch.eye(96), x.reshape(-1) - mean)
+    assert torch.allclose(gaussian.denoise(x, 0.7).reshape(-1), expected, atol=1e-4)
+
+
+def test_spectra_recover_the_covariance(gaussian):
+    codes = gaussian.sample(4000, torch.Generator().manual_seed(0)).numpy()
+    mean, covariance = spectra(codes, np.ones(len(codes)))
+    again = GaussianPrior(mean, covariance, gaussian.code)
+    assert torch.allclose(OPPONENT @ OPPONENT.T, torch.eye(3), atol=1e-6)
+    assert float((dense(again) - dense(gaussian)).norm() / dense(gaussian).norm()) < 0.1
+
+
+def test_modes_span_the_covariance(gaussian):
+    """All modes together give back the covariance, the leading ones the most of it."""
+    B, variance = gaussian.modes(96)
+    assert torch.allclose(
+        torch.einsum("kcm,kdn->cmdn", B, B).reshape(96, 96), dense(gaussian), atol=1e-4
+    )
+    assert (
+        torch.allclose(variance, B.square().sum((1, 2)), atol=1e-4)
+        and (variance.diff() <= 1e-6).all()
+    )
+
+
+@pytest.mark.parametrize("n", [5, 40])
+def test_curvature_solves_and_draws(n):
+    """Both sides of Woodbury: solution and the covariance of the draws."""
+    noise = torch.Generator().manual_seed(0)
+    J, s = torch.randn(n, 12, generator=noise), 0.4
+    A = J.T @ J + torch.eye(12) / s**2
+    curvature, b = Curvature(J, s), torch.randn(12, generator=noise)
+    assert curvature.dual == (n < 12)
+    assert torch.allclose(curvature.solve(b), torch.linalg.solve(A, b), atol=1e-4)
+    draws = torch.stack([curvature.draw(noise) for _ in range(6000)])
+    assert (
+        float((torch.cov(draws.T) - torch.linalg.inv(A)).norm() / torch.linalg.inv(A).norm()) < 0.12
+    )
+
+
+class Pooled(LightLikelihood):
+    """y = T P exp(z) + noise of deviation 1, the light pooled from 8 to 4 rows; one more unknown at
+    the end, observed as it is.
+    """
+
+    def __init__(self, folded: bool):
+        noise = torch.Generator().manual_seed(2)
+        self.pool, self.T, self.folded = Pool(8, 4), torch.randn(3, 20, 32, generator=noise), folded
+        self.y = torch.randn(3, 20, generator=noise)
+
+    def value(self, z):
+        return -0.5 * float(self.residual(z).square().sum())
+
+    def residual(self, z):
+        return (
+            self.y
+            - torch.einsum("cnm,cm->cn", self.T, self.pool.down(z[:, :128].exp()))
+            - z[:, 128:]
+        )
+
+    def expansion(self, z):
+        g, r = z[:, :128].exp(), self.residual(z)
+        one = torch.ones(3, 20, 1)
+        if self.folded:
+            fold = Fold(self.pool, g, 1)
+            return torch.cat([self.T * fold.root[:, None], one], 2), r, fold
+        rows = torch.stack([self.pool.up(t) for t in self.T])  # T P, pixel by pixel
+        return torch.cat([rows * g[:, None], one], 2), r, Whole()
+
+
+def test_folding_changes_nothing():
+    """Mode, solution and covariance of the small space's algebra against the large one's."""
+    x = 0.3 * torch.randn(3, 129, generator=torch.Generator().manual_seed(1))
+    small, large = (Laplace(Pooled(f), x, x, 0.5) for f in (True, False))
+    assert torch.allclose(small.mode, large.mode, atol=1e-4)
+    b = torch.randn(3, 129, generator=torch.Generator().manual_seed(4))
+    assert torch.allclose(small.solve(b), large.solve(b), atol=1e-4)
+    assert torch.allclose(small.image(b), large.image(b), atol=1e-3)
+    noise = torch.Generator().manual_seed(5)
+    draws = torch.stack([small.draw(noise)[0] for _ in range(4000)])
+    exact = torch.stack([large.curvature[0].solve(e) for e in torch.eye(129)])
+    assert float((torch.cov(draws.T) - exact).norm() / exact.norm()) < 0.2
+
+
+def test_the_peak_is_found_from_afar():
+    """From a light twenty times too dark, where a Newton step in log radiance overshoots, the same
+    peak as from nearby.
+    """
+    likelihood, x = Pooled(True), torch.zeros(3, 129)
+    likelihood.T = likelihood.T.abs()
+    light = (0.3 * torch.randn(3, 128, generator=torch.Generator().manual_seed(1))).exp()
+    likelihood.y = 20 * torch.einsum("cnm,cm->cn", likelihood.T, likelihood.pool.down(light))
+    target = lambda z: likelihood.value(z) - 0.5 * float((z - x).square().sum()) / 3.0**2
+    near = Laplace(likelihood, x, torch.cat([(20 * light).log(), torch.zeros(3, 1)], 1), 3.0)
+    far = Laplace(likelihood, x, x, 3.0)
+    assert target(far.mode) > target(near.mode) - 20 and target(x) < target(near.mode) - 1e3
+
+
+class Bright(LightLikelihood):
+    """y = exp(z) + noise, one code per channel, known to 30 %: skewed in z, where the prior N(0, 1)
+    has its say.
+    """
+
+    y = torch.tensor([[0.2], [1.0], [4.0]])
+
+    def value(self, z):
+        return -0.5 * float(((self.y - z.exp()) / (0.3 * self.y)).square().sum())
+
+    def expansion(self, z):
+        return (z.exp() / (0.3 * self.y))[:, :, None], self.residual(z), Whole()
+
+    def residual(self, z):
+        return (self.y - z.exp()) / (0.3 * self.y)
+
+
+def test_fresh_draws_have_the_posteriors_mean_and_spread():
+    """Where the likelihood is not quadratic, begun far from the peak every time, against sums over
+    a grid: to .2 deviations.
+    """
+    likelihood, rng, noise, x = (
+        Bright(),
+        np.random.default_rng(0),
+        torch.Generator().manual_seed(0),
+        torch.zeros(3, 1),
+    )
+    draws = torch.stack(
+        [draw_light(likelihood, x, x - 4, 1.0, SLICES, rng, noise) for _ in range(600)]
+    )[:, :, 0].numpy()
+    grid = np.linspace(-6, 4, 4001)[None]
+    weight = np.exp(-0.5 * ((1 - np.exp(grid) / likelihood.y.numpy()) / 0.3) ** 2 - 0.5 * grid**2)
+    weight /= weight.sum(1, keepdims=True)
+    mean = (weight * grid).sum(1)
+    deviation = np.sqrt((weight * (grid - mean[:, None]) ** 2).sum(1))
+    assert (np.abs(draws.mean(0) - mean) / deviation).max() < 0.2
+    np.testing.assert_allclose(draws.std(0), deviation, rtol=0.2)
+
+
+def test_fresh_draws_of_many_unknowns_do_not_stay_at_the_peak():
+    """In 129 unknowns of which the data bind few, begun at the peak itself: the usual drop of log
+    density is half their number.
+    """
+    likelihood, rng, noise, x = (
+        Pooled(True),
+        np.random.default_rng(0),
+        torch.Generator().manual_seed(0),
+        torch.zeros(3, 129),
+    )
+    peak = Laplace(likelihood, x, x, 1.0).mode
+    target = lambda z: likelihood.value(z) - 0.5 * float((z - x).square().sum())
+    drops = [
+        target(peak) - target(draw_light(likelihood, x, peak, 1.0, 2, rng, noise))
+        for _ in range(20)
+    ]
+    assert 0.65 < np.mean(drops) / (0.5 * 3 * 129) < 1.25
+
+
+def test_pooling_keeps_energy_and_has_its_adjoint():
+    pool, noise = Pool(8, 4), torch.Generator().manual_seed(0)
+    v, u = torch.randn(3, 128, generator=noise), torch.randn(3, 32, generator=noise)
+    assert torch.allclose((pool.down(v) * u).sum(), (v * pool.up(u)).sum(), atol=1e-4)
+    assert torch.allclose(pool.down(pool.spread(u)), u, atol=1e-6)
+
+
+def test_gaussian_posterior_in_closed_form(gaussian):
+    """Mean and variance of 200 independent draws against the exact posterior.
+
+    Annealing in finite time leaves a bias, held to .15 posterior deviations here (.09 measured);
+    the last width adds its own variance where the data bind most.
+    """
+    noise = torch.Generator().manual_seed(3)
+    J = 1.5 * torch.randn(3, 10, 32, generator=noise)
+    truth = gaussian.sample(1, noise).reshape(3, -1)
+    likelihood = Linear(
+        J, torch.einsum("cnm,cm->cn", J, truth) + torch.randn(3, 10, generator=noise)
+    )
+    C, whole = dense(gaussian) + 1e-6 * torch.eye(96), torch.block_diag(*J)
+    precision = torch.linalg.inv(C.double()) + (whole.T @ whole).double()
+    covariance = torch.linalg.inv(precision)
+    prior_mean = gaussian.mean.expand(1, 3, 4, 8).reshape(-1).double()
+    mean = covariance @ (
+        torch.linalg.inv(C.double()) @ prior_mean
+        + whole.T.double() @ likelihood.y.reshape(-1).double()
+    )
+    draws = torch.stack(
+        [chain(gaussian, likelihood, widths(24, 10.0, 0.03, 4), k) for k in range(200)]
+    ).double()
+    bias = (draws.mean(0) - mean) / covariance.diagonal().sqrt()
+    assert float(bias.square().mean()) - 1 / len(draws) < 0.15**2
+    ratio = draws.var(0) / covariance.diagonal()
+    assert 0.85 < float(ratio.mean()) < 1.15
+    seen = torch.linalg.eigh(whole.T.double() @ whole.double())[1][
+        :, -12:
+    ]  # where the data bind, and not only on average
+    bound = (draws @ seen).var(0) / (seen.T @ covariance @ seen).diagonal()
+    assert 0.7 < float(bound.mean()) < 1.35
+
+
+class TwoModes:
+    """Every pixel the same value, near -1 or near +1 with equal odds, deviation .15: closed-form
+    denoiser.
+    """
+
+    height, width, spread = 2, 4, 0.15
+
+    def denoise(self, x, sigma, label=None):
+        size, v = x[0].numel(), self.spread**2
+        total = x.reshape(len(x), -1).sum(1)
+        shrink = v / (sigma**2 + size * v)  # pixels share one value: mu + spread e
+        odds = torch.sigmoid(2 * total / (sigma**2 + size * v))
+        mean = [m + shrink * (total - size * m) for m in (-1.0, 1.0)]
+        return (odds * mean[1] + (1 - odds) * mean[0])[:, None, None, None].expand_as(x).clone()
+
+
+def test_both_modes_with_their_weights():
+    """A likelihood that prefers the upper mode 7 : 3 and says nothing else; weights within binomial
+    error.
+    """
+
+    class Tilt(LightLikelihood):
+        def value(self, z):
+            return 0.5 * np.log(7 / 3) * float(z.mean())
+
+        def residual(self, z):
+            return torch.zeros(3, 1)
+
+        def expansion(self, z):  # only the reference: any will do
+            return torch.zeros(3, 1, z.shape[1]), torch.zeros(3, 1), Whole()
+
+    draws = torch.stack(
+        [chain(TwoModes(), Tilt(), widths(20, 10.0, 0.1, 2), k).mean() for k in range(300)]
+    )
+    assert abs(float((draws > 0).float().mean()) - 0.7) < 3 * (0.21 / 300) ** 0.5
+    assert 0.1 < float(draws[draws > 0].std()) < 0.2
+
+
+def test_a_draw_depends_on_its_seed_only(gaussian):
+    likelihood = Linear(torch.ones(3, 1, 32), torch.zeros(3, 1))
+    first = chain(gaussian, likelihood, widths(3, 1.0, 0.1, 0), 5)
+    chain(gaussian, likelihood, widths(3, 1.0, 0.1, 0), 6)
+    assert torch.equal(first, chain(gaussian, likelihood, widths(3, 1.0, 0.1, 0), 5))

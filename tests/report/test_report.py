@@ -1,0 +1,196 @@
+"""The report: one file, no outside address, every sample in it, and plain words about what went
+wrong.
+"""
+
+import base64
+import io
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pipeline.base.config import Scene
+from pipeline.base.errors import InputError
+from pipeline.base.files import read_json, write_json
+from pipeline.base.images import to_srgb8, write_exr, write_png
+from pipeline.geometry.cameras import Rig, save_cameras
+from pipeline.geometry.mesh_io import load_mesh
+from pipeline.render.metrics import render_view
+from pipeline.render.renderer import Renderer
+from pipeline.report.make import make_report
+from pipeline.report.pictures import Painter, evening_light, heat
+from tests.render.test_renderer import explanation
+
+SIZE = 48
+SCENE = Scene(photos="nowhere", samples=2, preset="draft", report={"relight_size": 32, "spp": 16})
+FACTS = {
+    "capture": {"clipped_share": 0.05},
+    "poses": {"registered": 4, "photos": 5, "unregistered": ["blurred <b>"]},
+    "masks": {},
+    "mesh": {"method": "hull", "why": "stereo found too little", "mask_share_without_surface": 0.0},
+    "observe": {"held_out": ["v1"]},
+    "fit": {"warnings": ["the fit stopped early"]},
+}
+
+
+PHOTOS: list[np.ndarray] = []  # rendered once for the whole file
+
+
+def photos(ball: Path, views) -> list[np.ndarray]:
+    if not PHOTOS:
+        renderer = Renderer(ball / "mesh_uv.ply", 16, 8, SCENE.render.max_depth)
+        PHOTOS.extend(render_view(renderer, explanation(16, 8, seed=0), v, 64) for v in views)
+    return PHOTOS
+
+
+@pytest.fixture
+def work(tmp_path, ball, ring) -> Path:
+    """Folders of a whole run on the ball: view v1 is held out, its photo is rendered from sample
+    0.
+    """
+    work = tmp_path / "work"
+    views = ring(4, SIZE)
+    (work / "atlas").mkdir(parents=True)
+    for f in ball.iterdir():
+        (work / "atlas" / f.name).symlink_to(f)
+    for stage, facts in FACTS.items():
+        write_json(work / stage / f"{stage}.json", facts | {"seconds": 1.5, "peak_gib": 0.25})
+    write_json(work / "export.json", {"seconds": 0.5})
+    write_json(work / "atlas" / "atlas.json", {"utilisation": 0.6, "seconds": 2.0})
+    save_cameras(work / "poses" / "cameras.json", Rig(views, np.zeros(3), 0.5, "sfm"))
+    samples = [explanation(16, 8, seed=k) for k in range(2)]
+    for k, x in enumerate(samples):
+        x.save(work / "refine" / str(k))
+        write_json(
+            work / "refine" / str(k) / "refine.json", {"held_out_psnr": 30.0 + k, "seconds": 3.0}
+        )
+        write_json(work / "sample" / str(k) / "sample.json", {"seconds": 4.0})
+    for folder in ("poses/images", "mesh/masks", "masks"):
+        (work / folder).mkdir(parents=True, exist_ok=True)
+    for v, photo in zip(views, photos(ball, views)):
+        write_exr(work / "poses" / v.image, photo)
+        write_png(
+            work / "mesh" / "masks" / f"{v.name}.png", (photo.sum(-1) > 0).astype(np.uint8) * 255
+        )
+    Image.fromarray(to_srgb8(photo)).save(work / "masks" / "overlay.jpg")
+    for name in ("mesh/preview.png", "atlas/atlas.png"):
+        if not (work / name).exists():
+            Image.fromarray(to_srgb8(photo)).save(work / name)
+    return work
+
+
+def test_page_is_whole_and_self_contained(work, tmp_path):
+    out = tmp_path / "exports" / "mein garten é_report.html"
+    metrics = make_report(work, tmp_path / "mein <garten> é.usda", out, SCENE)
+    html = out.read_text(encoding="utf-8")
+    sources = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?([^"\'\s>)]*)', html)
+    assert sources and all(s.startswith("data:image/") for s in sources)
+    assert not re.search(r"https?://|//[a-z]+\.|@import|<script|" + re.escape(str(tmp_path)), html)
+    for s in sources:  # every picture decodes
+        Image.open(io.BytesIO(base64.b64decode(s.split(",", 1)[1]))).load()
+    # photos, masks, mesh, atlas, photo; 4 spreads; 3 lights + 6 pictures of each sample
+    assert len(sources) == 5 + 4 + 2 * 9
+    assert metrics["view"] == "v1" and metrics["mib"] < 8 and "held out: no fit has seen it" in html
+    assert "variant sample_1 of mein &lt;garten&gt; é.usda" in html and "<garten>" not in html
+    assert "30.5 dB PSNR" in html and "hull" in html and "stereo found too little" in html
+
+
+def test_warnings_are_on_the_page(work, tmp_path):
+    make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
+    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "1 of 5 photos could not be placed" in html and "blurred &lt;b&gt;" in html
+    assert "5 % of the pixels are saturated" in html and "fit: the fit stopped early" in html
+
+
+def test_one_sample_shows_no_spread(work, tmp_path):
+    make_report(
+        work, tmp_path / "a.usda", tmp_path / "a.html", SCENE.model_copy(update={"samples": 1})
+    )
+    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "One sample shows no spread" in html and "standard deviation of" not in html
+
+
+def test_a_missing_stage_is_named_and_the_old_page_stays(work, tmp_path):
+    out = tmp_path / "a.html"
+    out.write_text("old")
+    (work / "fit" / "fit.json").unlink()
+    with pytest.raises(InputError, match="fit.json"):
+        make_report(work, tmp_path / "a.usda", out, SCENE)
+    assert out.read_text() == "old"
+
+
+def test_render_agrees_with_the_projection(ball, ring):
+    """Against `View.project`, not against another render: an off-centre wide view, so that no swap
+    or flip goes unseen.
+    """
+    view = replace(ring(4, SIZE)[1], width=64, height=40, fx=50.0, fy=50.0, cx=44.0, cy=14.0)
+    picture = render_view(Renderer(ball / "mesh_uv.ply", 16, 8, 2), explanation(16, 8), view, 8)
+    rows, columns = np.nonzero(picture.sum(-1))
+    uv, _ = view.project(load_mesh(ball / "mesh_uv.ply").vertices)
+    assert np.allclose(
+        [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1],
+        [*uv.min(0), *uv.max(0)],
+        atol=1.2,
+    )
+
+
+def test_the_shown_render_is_the_photos_view(work):
+    from pipeline.geometry.cameras import load_cameras
+
+    view = next(v for v in load_cameras(work / "poses" / "cameras.json").views if v.name == "v1")
+    painter = Painter(work, view, SCENE)
+    picture = lambda b: np.asarray(Image.open(io.BytesIO(b))).astype(float)
+    shown, photo = (
+        picture(painter.sample(explanation(16, 8, seed=0))["render"]),
+        picture(painter.photo_jpeg()),
+    )
+    error = lambda a: np.abs(a - photo).mean()
+    assert error(shown) < 8 and error(shown) < 0.6 * min(error(shown[::-1]), error(shown[:, ::-1]))
+
+
+def test_render_lines_up_with_the_photo(work, ring):
+    """The sample that made the photo beats another one, and a mirrored photo: orientation and maps
+    reach the page right.
+    """
+    from pipeline.geometry.cameras import load_cameras
+
+    view = next(v for v in load_cameras(work / "poses" / "cameras.json").views if v.name == "v1")
+    painter = Painter(work, view, SCENE)
+    right, wrong = (painter.sample(explanation(16, 8, seed=k))["psnr"] for k in (0, 1))
+    painter.photo = painter.photo[:, ::-1]
+    mirrored = painter.sample(explanation(16, 8, seed=0))["psnr"]
+    assert right > 25 and right > wrong + 3 and right > mirrored + 3
+
+
+def test_spread_is_dark_where_samples_agree(work, ring):
+    painter = Painter(work, ring(4, SIZE)[1], SCENE)
+    picture = lambda b: np.asarray(Image.open(io.BytesIO(b))).astype(int)
+    spread = painter.spread([explanation(16, 8, seed=0), explanation(16, 8, seed=1, roughness=0.9)])
+    base, rough, metal, light = (picture(b) for b in spread.values())
+    assert np.abs(metal - heat(np.zeros((1, 1)), 1)[0, 0]).max() < 6  # same metallic in both
+    assert (
+        np.abs(rough - heat(np.full((1, 1), 0.2), 0.3)[0, 0]).max() < 6
+    )  # 0.5 and 0.9: deviation 0.2
+    assert base.mean() > metal.mean() + 5 and light.mean() > metal.mean() + 5
+
+
+def test_evening_light_comes_from_its_sun():
+    from pipeline.render.envmap import directions, mean_radiance
+
+    light = evening_light(16)
+    assert np.isclose(mean_radiance(light).mean(), 1, rtol=1e-4) and light.min() > 0
+    brightest = directions(16, 32)[np.unravel_index(light.sum(-1).argmax(), (16, 32))]
+    assert brightest @ (np.array([0.75, 0.35, 0.56]) / np.linalg.norm([0.75, 0.35, 0.56])) > 0.97
+
+
+def test_facts_of_the_page_are_the_stages_own(work):
+    from pipeline.report.make import stage_facts
+
+    facts = stage_facts(work, 2)
+    assert (
+        facts["refine 1"] == read_json(work / "refine" / "1" / "refine.json")
+        and list(facts)[-1] == "export"
+    )

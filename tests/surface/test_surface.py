@@ -1,0 +1,191 @@
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.base.config import Atlas
+from pipeline.base.errors import InputError
+from pipeline.base.runtime import import_open3d
+from pipeline.geometry.cameras import Rig
+from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh, vertex_normals
+from pipeline.geometry.voxels import Grid
+from pipeline.masks.agreement import agreement, hull_points
+from pipeline.surface.atlas import judge, make_atlas
+from pipeline.surface.clean import facts, largest_solid, signed_volume, simplify, to_mesh
+from pipeline.surface.field import hull_of
+from pipeline.surface.make import coarse_hull, fuse, given_mesh
+from pipeline.surface.stereo import Depth, stereo
+
+
+def silhouettes(views, radius=0.5):
+    """Masks of a sphere at the origin, by the distance of each ray to it."""
+    out = {}
+    for v in views:
+        u, w = np.meshgrid(np.arange(v.width) + 0.5, np.arange(v.height) + 0.5)
+        o, d = v.rays(np.stack([u, w], -1))
+        out[v.name] = np.linalg.norm(np.cross(o, d), axis=-1) < radius
+    return out
+
+
+@pytest.fixture
+def sphere(ring):
+    views = ring(14, 96)
+    return Rig(views, np.zeros(3), 0.8, "transforms.json"), silhouettes(views)
+
+
+def test_hull_of_a_sphere_is_the_sphere(sphere):
+    rig, masks = sphere
+    points, margin = coarse_hull(rig, masks)
+    grid = Grid.over(points.min(0) - margin, points.max(0) + margin, 48)
+    field = hull_of(grid, rig.views, [masks[v.name] for v in rig.views], 4 * grid.cell, 0.0)
+    mesh, found = simplify(to_mesh(field, grid), 1500)
+    radius = np.linalg.norm(mesh.vertices, axis=1)
+    assert (
+        found["watertight"] and found["parts"] == 1 and signed_volume(mesh.vertices, mesh.faces) > 0
+    )
+    assert 0.46 < np.percentile(radius, 5) and np.percentile(radius, 95) < 0.62
+
+
+def test_one_bad_mask_neither_carves_nor_goes_unnoticed(sphere):
+    rig, masks = sphere
+    masks["v3"] = masks["v3"] & (np.arange(96) > 50)
+    found = agreement(rig, masks)
+    assert not found["v3"]["carve"] and sum(f["carve"] for f in found.values()) == 13
+    assert len(hull_points(rig, masks)[0]) > 0
+
+
+def test_masks_without_common_volume_are_named(sphere):
+    rig, masks = sphere
+    with pytest.raises(InputError, match="no volume in common"):
+        coarse_hull(rig, {n: np.zeros_like(m) for n, m in masks.items()})
+
+
+def test_stereo_depth_of_a_textured_wall(ring):
+    """Two rows of cameras before a plane z = 0 with noise: depth within 1 %."""
+    from pipeline.geometry.cameras import View
+    from tests.conftest import look_at
+
+    rng = np.random.default_rng(0)
+    texture = cv2.GaussianBlur(rng.uniform(0, 255, (600, 600)).astype(np.float32), (0, 0), 1.5)
+    texture = np.clip((texture - texture.mean()) * 4 + 128, 0, 255)
+    views, images = [], []
+    for k in range(6):
+        eye = [0.55 * (k % 3) - 0.55, 0.3 * (k // 3), 2.0]
+        v = View(f"v{k}", "", 160, 120, 190, 190, 80, 60, look_at(eye))
+        u, w = np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5)
+        o, d = v.rays(np.stack([u, w], -1))
+        p = o - d * (o[..., 2:] / d[..., 2:])
+        images.append(
+            cv2.remap(
+                texture,
+                (p[..., 0] * 200 + 300).astype(np.float32),
+                (p[..., 1] * 200 + 300).astype(np.float32),
+                cv2.INTER_LINEAR,
+            ).astype(np.uint8)
+        )
+        views.append(v)
+    masks = [np.ones((120, 160), bool)] * 6
+    depths, share = stereo(
+        views, images, masks, np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3)), 0.1, 2
+    )
+    assert share > 0.4
+    for depth in depths:
+        rows, columns = np.nonzero(depth.depth)
+        o, d = depth.view.rays(np.stack([columns + 0.5, rows + 0.5], -1))
+        z = o[:, 2] + d[:, 2] * depth.depth[rows, columns] / (d @ depth.view.world_to_camera[2, :3])
+        assert np.median(np.abs(z)) < 0.02
+
+
+def test_fusing_a_nearer_surface_carves_the_hull(sphere):
+    """Depth maps of a smaller ball inside the hull of a larger one."""
+    rig, masks = sphere
+    grid = Grid.over(np.full(3, -0.6), np.full(3, 0.6), 40)
+    hull = hull_of(grid, rig.views, [masks[v.name] for v in rig.views], 4 * grid.cell, 0.0)
+    depths = []
+    for v in rig.views:
+        u, w = np.meshgrid(np.arange(v.width) + 0.5, np.arange(v.height) + 0.5)
+        o, d = v.rays(np.stack([u, w], -1))
+        b = (o * d).sum(-1)
+        root = b**2 - ((o**2).sum(-1) - 0.35**2)
+        depth = np.where(root > 0, -b - np.sqrt(np.maximum(root, 0)), 9.0) * (
+            d @ v.world_to_camera[2, :3]
+        )  # 9: far ground
+        depths.append(Depth(v, depth.astype(np.float32), np.full(depth.shape, 3, np.float32)))
+    mesh = to_mesh(largest_solid(fuse(grid, hull, depths)), grid)
+    assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - 0.35) < 0.03
+
+
+def test_small_solids_and_hidden_cavities_go():
+    field = -np.ones((20, 20, 20), np.float32)
+    field[4:16, 4:16, 4:16] = 1
+    field[9:11, 9:11, 9:11] = -1
+    field[0:2, 0:2, 0:2] = 1
+    clean = largest_solid(field)
+    assert (clean[9:11, 9:11, 9:11] > 0).all() and (clean[0:2, 0:2, 0:2] < 0).all()
+
+
+def test_meshes_survive_the_disk(tmp_path, ball):
+    mesh = load_mesh(ball / "mesh_uv.ply")
+    for name in ("a.ply", "b.obj"):
+        save_mesh(tmp_path / name, mesh)
+        back = load_mesh(tmp_path / name)
+        corners = lambda m: np.concatenate([m.vertices[m.faces], m.uv[m.faces]], -1)
+        assert np.allclose(corners(back), corners(mesh), atol=1e-4), name
+
+
+def test_given_mesh_is_turned_like_its_cameras(tmp_path, ball):
+    from pipeline.geometry.cameras import Y_FROM_Z_UP
+
+    mesh = load_mesh(ball / "mesh_uv.ply")
+    save_mesh(
+        tmp_path / "mesh.ply", Mesh(mesh.vertices + [0, 0, 5.0], mesh.faces, mesh.normals, mesh.uv)
+    )
+    rig = Rig([], np.zeros(3), 1.0, "transforms.json", {"world": Y_FROM_Z_UP})
+    assert np.allclose(
+        given_mesh(tmp_path, rig).vertices.mean(0),
+        mesh.vertices.mean(0)[[0, 2, 1]] * [1, 1, -1] + [0, 5, 0],
+        atol=1e-3,
+    )
+    with pytest.raises(InputError, match="no cameras"):
+        given_mesh(tmp_path, Rig([], np.zeros(3), 1.0, "sfm", {}))
+
+
+def test_atlas_has_no_overlap_and_faces_outward(ball):
+    mesh = load_mesh(ball / "mesh_uv.ply")
+    found = judge(mesh.uv, mesh.faces, 512)
+    assert found["overlap"] < 1e-3 and found["in_range"] and found["utilisation"] > 0.3
+    assert (
+        facts(mesh)["faces"] == len(mesh.faces) and (mesh.normals * mesh.vertices).sum(1).min() > 0
+    )
+
+
+def test_overlapping_uvs_are_unwrapped_anew_and_good_ones_kept(tmp_path, ball):
+    mesh = load_mesh(ball / "mesh_uv.ply")
+    save_mesh(tmp_path / "good.ply", mesh)
+    save_mesh(tmp_path / "bad.ply", Mesh(mesh.vertices, mesh.faces, mesh.normals, mesh.uv % 0.3))
+    (tmp_path / "a").mkdir(), (tmp_path / "b").mkdir()
+    assert make_atlas(tmp_path / "good.ply", tmp_path / "a", Atlas(resolution=64))["charts"] is None
+    found = make_atlas(tmp_path / "bad.ply", tmp_path / "b", Atlas(resolution=64))
+    assert found["charts"] and "overlap" in found["why"] and found["overlap"] < 0.01
+    kept = load_mesh(tmp_path / "a" / "mesh_uv.ply")
+    assert np.allclose(kept.uv[kept.faces], mesh.uv[mesh.faces], atol=1e-5)
+
+
+def test_wobble_of_normals_is_that_of_their_noise():
+    """An even sphere has none; normals tilted by 4 degrees per axis wobble by such tilts' median
+    length, 1.18 times 4, and the mean of six neighbours' noise on top.
+    """
+    o3d = import_open3d()
+    ico = o3d.geometry.TriangleMesh.create_icosahedron().subdivide_loop(4)
+    unit = lambda v: v / np.linalg.norm(v, axis=1, keepdims=True)
+    even = unit(np.asarray(ico.vertices))
+    assert normal_wobble(Mesh(even, np.asarray(ico.triangles), even)) < np.radians(0.1)
+    tilted = unit(even + np.radians(4) * np.random.default_rng(0).normal(size=even.shape))
+    expected = np.radians(4) * np.sqrt(2 * np.log(2)) * np.sqrt(7 / 6)
+    assert (
+        abs(normal_wobble(Mesh(even, np.asarray(ico.triangles), tilted)) - expected)
+        < 0.05 * expected
+    )
+
+
+def test_vertex_normals_of_a_triangle():
+    assert np.allclose(vertex_normals(np.eye(3)[[0, 1, 2]], np.array([[0, 1, 2]])), 1 / np.sqrt(3))

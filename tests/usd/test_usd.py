@@ -1,0 +1,187 @@
+import shutil
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdShade
+
+from pipeline.base.errors import InputError
+from pipeline.base.images import read_exr
+from pipeline.usd.check import check
+from pipeline.usd.write import export
+from tests.render.test_renderer import explanation
+
+
+@pytest.fixture
+def exported(tmp_path, ball):
+    samples = []
+    for k in range(3):
+        folder = tmp_path / "refine" / str(k)
+        explanation(16, 8, seed=k).save(folder)
+        samples.append(folder)
+    out = tmp_path / "exports" / "mein garten é.usda"
+    out.parent.mkdir()
+    (out.parent / "users.txt").write_text("mine")
+    return export(ball, samples, out, {"preset": "draft", "seed": 0}), out, samples
+
+
+def files_of(stage):
+    root = stage.GetDefaultPrim()
+    light = root.GetChild("Light").GetAttribute("inputs:texture:file").Get().path
+    maps = [
+        UsdShade.Shader(p).GetInput("file").Get().path
+        for p in stage.Traverse()
+        if UsdShade.Shader(p) and UsdShade.Shader(p).GetIdAttr().Get() == "UsdUVTexture"
+    ]
+    return [light] + maps
+
+
+def test_validators_are_silent_and_users_files_untouched(exported):
+    metrics, out, _ = exported
+    assert (
+        metrics["problems"] == []
+        and check(out) == []
+        and (out.parent / "users.txt").read_text() == "mine"
+    )
+
+
+def test_variants_switch_light_and_every_map(exported):
+    _, out, _ = exported
+    stage = Usd.Stage.Open(str(out))
+    variants = stage.GetDefaultPrim().GetVariantSet("sample")
+    assert variants.GetVariantNames() == ["sample_0", "sample_1", "sample_2"]
+    for k in range(3):
+        variants.SetVariantSelection(f"sample_{k}")
+        assert len(files_of(stage)) == 4 and all(f"/sample_{k}/" in f for f in files_of(stage))
+
+
+def test_exports_open_elsewhere(exported, tmp_path):
+    _, out, _ = exported
+    shutil.copytree(out.parent, tmp_path / "else where")
+    shutil.rmtree(out.parent)
+    moved = tmp_path / "else where" / out.name
+    assert check(moved) == [] and all(
+        f.startswith("./") for f in files_of(Usd.Stage.Open(str(moved)))
+    )
+    assert check(moved.with_suffix("") / "sample_1.usda") == []
+
+
+def test_light_stays_float(exported):
+    """The third defect of the published code: its light passes through 8-bit PNG."""
+    _, out, samples = exported
+    assert (
+        read_exr(out.with_suffix("") / "sample_2" / "light.exr")
+        == read_exr(samples[2] / "light.exr")
+    ).all()
+
+
+def test_check_finds_what_is_wrong(exported):
+    _, out, _ = exported
+    (out.with_suffix("") / "sample_1" / "light.exr").unlink()
+    assert any("sample_1" in p for p in check(out))
+    stage = Usd.Stage.Open(str(out.with_suffix("") / "sample_0.usda"))
+    stage.GetDefaultPrim().GetChild("Light").GetAttribute("inputs:texture:file").Set(
+        "/somewhere/else.exr"
+    )
+    stage.GetDefaultPrim().GetChild("Object").GetAttribute("faceVertexCounts").Set([3])
+    stage.GetRootLayer().Save()
+    problems = " ".join(check(out.with_suffix("") / "sample_0.usda"))
+    assert "absolute path" in problems and len(problems) > 60
+    (out.parent / "broken.usda").write_text("nonsense")
+    with pytest.raises(InputError, match="not a readable USD"):
+        check(out.parent / "broken.usda")
+
+
+def test_base_colour_is_stored_as_srgb(exported):
+    from PIL import Image
+
+    from pipeline.base.images import srgb_to_linear
+
+    _, out, samples = exported
+    stored = np.asarray(Image.open(out.with_suffix("") / "sample_0" / "base_color.png")) / 255
+    assert np.allclose(srgb_to_linear(stored), read_exr(samples[0] / "base_color.exr"), atol=0.01)
+
+
+def test_a_failing_export_leaves_the_old_one(exported, ball, monkeypatch):
+    _, out, samples = exported
+    before = {f: f.read_bytes() for f in out.parent.rglob("*") if f.is_file()}
+    monkeypatch.setattr("pipeline.usd.write.check", lambda path: [f"{path.name}: wrong"])
+    with pytest.raises(RuntimeError, match="sample_1.usda: wrong"):
+        export(ball, samples[::-1], out, {"preset": "draft"})
+    assert {f: f.read_bytes() for f in out.parent.rglob("*") if f.is_file()} == before
+
+
+def test_without_a_package_the_export_stands_and_says_why(exported, ball, monkeypatch):
+    _, out, samples = exported
+    assert check(out.with_suffix(".usdz")) == []
+    monkeypatch.setattr(
+        "pipeline.usd.write.UsdUtils.CreateNewUsdzPackage", lambda asset, target: False
+    )
+    metrics = export(ball, samples[:2], out, {"preset": "draft"})
+    assert not metrics["usdz"] and ".usdz" in metrics["warnings"][0] and check(out) == []
+    assert not out.with_suffix(".usdz").exists()  # an older package would show an older result
+
+
+def test_package_holds_sample_0(exported):
+    from pxr import Ar
+
+    _, out, samples = exported
+    stage = Usd.Stage.Open(str(out.with_suffix(".usdz")))
+    for attribute in (
+        a
+        for p in stage.Traverse()
+        for a in p.GetAttributes()
+        if a.GetTypeName() == "asset" and a.Get().path
+    ):
+        assert (
+            Ar.GetResolver().OpenAsset(Ar.ResolvedPath(attribute.Get().resolvedPath)).GetSize() > 0
+        )
+    assert stage.GetDefaultPrim().GetCustomDataByKey("heliograph")["sample"] == 0
+
+
+def test_mesh_and_light_conventions(exported, ball):
+    from pxr import UsdGeom, UsdLux
+
+    from pipeline.geometry.mesh_io import load_mesh
+
+    _, out, _ = exported
+    stage, mesh = Usd.Stage.Open(str(out)), load_mesh(ball / "mesh_uv.ply")
+    root = stage.GetDefaultPrim()
+    prim, light = UsdGeom.Mesh(root.GetChild("Object")), UsdLux.DomeLight(root.GetChild("Light"))
+    assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 1
+    assert (
+        prim.GetSubdivisionSchemeAttr().Get() == "none"
+        and prim.GetNormalsInterpolation() == "vertex"
+    )
+    assert np.allclose(prim.GetExtentAttr().Get(), [mesh.vertices.min(0), mesh.vertices.max(0)])
+    assert np.allclose(UsdGeom.PrimvarsAPI(prim).GetPrimvar("st").Get(), mesh.uv)
+    assert light.GetIntensityAttr().Get() == 1 and light.GetExposureAttr().Get() == 0
+    assert not UsdGeom.Xformable(
+        light
+    ).GetOrderedXformOps()  # a rotation would turn the light against the object
+
+
+def test_unwritable_target_is_named(ball, tmp_path, exported):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        export(ball, exported[2], tmp_path / "file" / "a.usda", {})
+
+
+def test_fit_and_export_agree_on_the_texture_frame(ball):
+    """Image row 0 is v = 1 and column 0 is u = 0 for the renderer too; else the exported PNGs would
+    be upside down.
+    """
+    from pipeline.geometry.mesh_io import load_mesh
+    from pipeline.render.renderer import Explanation, Renderer
+
+    mesh, grey = load_mesh(ball / "mesh_uv.ply"), np.full((16, 16), 1, np.float32)
+    corners = mesh.vertices[mesh.faces]
+    centre, uv = corners.mean(1), mesh.uv[mesh.faces].mean(1)
+    out = centre / np.linalg.norm(centre, axis=1, keepdims=True)
+    renderer = Renderer(ball / "mesh_uv.ply", 16, 8, 2)
+    for axis, ramp in ((1, np.linspace(1, 0, 16)[:, None]), (0, np.linspace(0, 1, 16)[None])):
+        base = np.broadcast_to(ramp[..., None], (16, 16, 3)).astype(np.float32).copy()
+        renderer.set(Explanation(np.ones((8, 16, 3), np.float32), base, grey, 0 * grey))
+        seen = np.mean(
+            [renderer.radiance(centre + out, -out, seed).mean(-1) for seed in range(8)], 0
+        )
+        assert np.corrcoef(seen, uv[:, axis])[0, 1] > 0.9
