@@ -2,8 +2,8 @@
 import sys
 from pathlib import Path
 
-from pipeline.errors import InputError
-from pipeline.workflow import Scenes, code_digest, only_one_run
+from pipeline.base.errors import InputError
+from pipeline.run.workflow import Scenes, code_digest, only_one_run
 
 scenes = Scenes(config)
 SET = " ".join(f"--set {s!r}" for s in scenes.settings)
