@@ -19,7 +19,8 @@ HISTORY = {"CHANGELOG.md", "experiments.md"}  # these also name what is no more
 
 def slugs(page: Path) -> set[str]:
     """Anchors of a page's headings, as GitHub makes them."""
-    headings = HEADING.findall(page.read_text(encoding="utf-8"))
+    text = LINK.sub("]", page.read_text(encoding="utf-8"))
+    headings = HEADING.findall(text)
     return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
 
 
