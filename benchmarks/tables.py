@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError, nearest, run_stage
-from pipeline.base.files import atomic_path, json_entry, read_json, write_json
+from pipeline.base.files import atomic_path, read_json, write_json
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
@@ -395,10 +395,13 @@ def take(args: argparse.Namespace) -> None:
     if not args.command:
         raise InputError("rows without their command", file, "say --command 'python -m ...'")
     data = read_json(Path(file))
+    machine = args.machine or data.get("machine")
+    if not machine:
+        raise InputError("rows without their machine", file, "say --machine '...'")
     about = {
         "command": args.command,
         "commit": args.commit or head_commit(),
-        "machine": args.machine or json_entry(file, "machine"),
+        "machine": machine,
         "note": args.note,
     }
     write_json(RESULTS / f"{name}.json", about | {"data": data})

@@ -89,10 +89,12 @@ def test_rows_are_taken_with_their_source_and_written_into_the_page(house, monke
     assert "old" not in page and page.endswith("<!-- end -->\nrest\n")
 
 
-def test_rows_without_their_command_are_refused(house, monkeypatch):
+@pytest.mark.parametrize("said, missing", [([], "command"), (["--command", "make it"], "machine")])
+def test_rows_without_their_source_are_refused(house, monkeypatch, said, missing):
     (house / "rows.json").write_text("{}")
-    monkeypatch.setattr(sys, "argv", ["tables", "--take", str(house / "rows.json"), "pairs"])
-    with pytest.raises(InputError, match="rows without their command"):
+    take = ["tables", "--take", str(house / "rows.json"), "pairs", *said]
+    monkeypatch.setattr(sys, "argv", take)
+    with pytest.raises(InputError, match=f"rows without their {missing}"):
         tables.main()
     assert not (house / "benchmarks").exists()
 
