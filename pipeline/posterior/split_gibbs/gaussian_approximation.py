@@ -28,6 +28,18 @@ DAMPING, DAMPING_LIMIT = 6.0, 1e10
 KINK = 1e5
 
 
+class Folding(Protocol):
+    """E: from all unknowns (C, M) to those the photos bind (C, k); its rows are orthonormal."""
+
+    def down(self, z: torch.Tensor) -> torch.Tensor:
+        """E z."""
+        ...
+
+    def up(self, u: torch.Tensor) -> torch.Tensor:
+        """E' u."""
+        ...
+
+
 class LightLikelihood(Protocol):
     """Log-likelihood of unknowns z."""
 
@@ -39,7 +51,7 @@ class LightLikelihood(Protocol):
         """r (C, n) of `expansion` alone."""
         ...
 
-    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, object]:
+    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Folding]:
         """J (C, n, k), r (C, n) and a fold E: log-likelihood of z + d ~ -|r - J E d|^2 / 2."""
         ...
 
@@ -51,7 +63,7 @@ class LightLikelihood(Protocol):
         return transposed(J, fold, w)
 
 
-def transposed(J: torch.Tensor, fold, w: torch.Tensor) -> torch.Tensor:
+def transposed(J: torch.Tensor, fold: Folding, w: torch.Tensor) -> torch.Tensor:
     """E' J' w for w (C, n)."""
     return fold.up(torch.einsum("cnk,cn->ck", J, w))
 
@@ -124,7 +136,7 @@ class GaussianApproximation:
     mode: torch.Tensor
     rho: float
     J: torch.Tensor
-    fold: object
+    fold: Folding
     curvature: tuple[Curvature, ...]
     damping: float = 0.0
 
@@ -223,12 +235,12 @@ def approximate(
     whose curvature will do as long as steps with it converge.
     """
     hill = Hill(likelihood, x, rho, noise)
-    at = None if known is None else replace(known, mode=z.clone(), rho=rho, damping=0.0)
     mode, damping = z.clone(), 0.0
     height = hill.height(mode)
     enough = NEWTON_GAIN * z.numel()
 
-    if at is not None:
+    if known is not None:
+        at = replace(known, mode=mode, rho=rho, damping=0.0)
         settled, at, height = chords(hill, at, height, enough)
         mode = at.mode
         if settled:

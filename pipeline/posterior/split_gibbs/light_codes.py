@@ -14,7 +14,6 @@ prior about a given code.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -24,6 +23,7 @@ from pipeline.posterior.split_gibbs.likelihood import RowLikelihood
 from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.pooling import Fold, Pool, Whole, pooled
 from pipeline.prior.gaussian import GaussianPrior
+from pipeline.prior.protocol import LightPrior
 
 # modes of the Gaussian prior: 95 % of its variance
 COMPONENTS = 400
@@ -57,12 +57,12 @@ class Decoder:
     gain divides the radiance (light_moves.noise_gain).
     """
 
-    prior: Any
+    prior: LightPrior
     pool: Pool
     gain: float = 1.0
 
     @classmethod
-    def onto(cls, prior, light_rows: int, gain: float = 1.0) -> Decoder:
+    def onto(cls, prior: LightPrior, light_rows: int, gain: float = 1.0) -> Decoder:
         """For an operator that resolves `light_rows` rows."""
         return cls(prior, Pool(prior.height, light_rows), gain)
 
@@ -143,7 +143,7 @@ class Modes:
     `light_rows`: rows of the light that the operator acts on.
     """
 
-    def __init__(self, gaussian: GaussianPrior, prior, count: int, light_rows: int):
+    def __init__(self, gaussian: GaussianPrior, prior: LightPrior, count: int, light_rows: int):
         ratio = gaussian.log_spread / prior.log_spread
         B, variance = gaussian.modes(count)
         self.B = ratio * B  # (K, 3, m)
@@ -287,7 +287,7 @@ class CodeLikelihood:
         scaled = colors * steep * (COLOR_SPREAD / self.unknowns.width)
         return self.unknowns.gathered(self.decoder.pool.up(light) * slope, scaled)
 
-    def expansion(self, z: torch.Tensor):
+    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Fold | Whole]:
         """Gauss-Newton: J, r and fold, see `gaussian_approximation.LightLikelihood`."""
         rows = self.at(z)
         steep = self.color_slope(rows)[:, None]

@@ -33,6 +33,7 @@ from pipeline.posterior.split_gibbs.light_codes import (
 from pipeline.posterior.split_gibbs.light_draw import SliceInfo, draw_light
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.state import Kernel, Randomness, State
+from pipeline.prior.protocol import LightPrior
 from pipeline.prior.sampling import lights, reverse_diffusion
 from pipeline.prior.value_code import scale_of
 
@@ -87,7 +88,7 @@ def gaussian_light(mixer: Mixer, decoder: Decoder, unknowns: ModeUnknowns) -> Ke
 
     def kernel(rng: Randomness, state: State) -> tuple[State, SliceInfo]:
         about = torch.zeros(1, unknowns.size)
-        z, state, info = _drawn(rng, mixer, state, decoder, unknowns, about, state.coefficients)
+        z, state, info = _drawn(rng, mixer, state, decoder, unknowns, about, state.modes)
         coefficients = unknowns.coefficients(z)
         return replace(state, coefficients=coefficients, code=unknowns.code(coefficients)), info
 
@@ -104,7 +105,9 @@ def to_modes(unknowns: ModeUnknowns) -> Kernel:
     return kernel
 
 
-def smooth_light(mixer: Mixer, decoder: Decoder, modes: Modes, sigma: float, label) -> Kernel:
+def smooth_light(
+    mixer: Mixer, decoder: Decoder, modes: Modes, sigma: float, label: str | None
+) -> Kernel:
     """Kernel: one step of decoupled annealing at noise level sigma, with the mean colours."""
     prior = decoder.prior
 
@@ -136,19 +139,19 @@ def photo_light(mixer: Mixer, decoder: Decoder, rho: float) -> Kernel:
 
     def kernel(rng: Randomness, state: State) -> tuple[State, SliceInfo]:
         unknowns = PixelUnknowns(decoder.prior.height * decoder.prior.width, rho)
-        z, state, info = _drawn(rng, mixer, state, decoder, unknowns, state.prior_code, state.code)
+        z, state, info = _drawn(rng, mixer, state, decoder, unknowns, state.twin, state.code)
         return replace(state, code=unknowns.code(z)), info
 
     return kernel
 
 
-def pull_of_twin(prior, rho: float) -> Callable[[State], Callable[[np.ndarray], float]]:
+def pull_of_twin(prior: LightPrior, rho: float) -> Callable[[State], Callable[[np.ndarray], float]]:
     """For `material_moves.gauge_kernel`: log-density of a shift (3,) of z's log radiance per
     channel, for the Gaussian of width rho between z and x.
     """
 
     def pull_of(state: State) -> Callable[[np.ndarray], float]:
-        gap = (state.code - state.prior_code).mean(1).numpy()
+        gap = (state.code - state.twin).mean(1).numpy()
         pixels = state.code.shape[1]
 
         def pull(shift: np.ndarray) -> float:
@@ -160,7 +163,7 @@ def pull_of_twin(prior, rho: float) -> Callable[[State], Callable[[np.ndarray], 
     return pull_of
 
 
-def prior_light(prior, rho: float, label) -> Kernel:
+def prior_light(prior: LightPrior, rho: float, label: str | None) -> Kernel:
     """Kernel x | z: the twin given the light's code, by reverse diffusion from noise rho down."""
 
     def kernel(rng: Randomness, state: State) -> tuple[State, int]:
@@ -172,7 +175,7 @@ def prior_light(prior, rho: float, label) -> Kernel:
     return kernel
 
 
-def scale_of_one(prior) -> Kernel:
+def scale_of_one(prior: LightPrior) -> Kernel:
     """Kernel: what a code is over scale one goes to the light's scale; the radiance stays.
 
     The prior's maps were all of scale one (prior/value_code.py). The photos move the code's mean:

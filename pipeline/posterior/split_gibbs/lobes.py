@@ -12,6 +12,7 @@ from the lobes A (diffuse), S (dielectric highlight), M1 and M0 (metal at white 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -32,17 +33,17 @@ def metallic_step(metallic: np.ndarray) -> np.ndarray:
     return np.abs(metallic[:, None] - METALLIC).argmin(1)
 
 
-def mix(lobes, metallic):
-    """U and W from the four lobes (4, ...) at a metallic that broadcasts against them."""
+def mix(lobes: Any, metallic: Any) -> tuple[Any, Any]:
+    """U and W from the four lobes (4, ...), arrays or tensors, at a metallic that broadcasts."""
     diffuse, highlight, metal_white, metal_black = lobes
     U = (1 - metallic) * diffuse + metallic * (metal_white - metal_black)
     W = (1 - metallic) * highlight + metallic * metal_black
     return U, W
 
 
-def neighbours(step, traced: int):
+def neighbours(step: Any, traced: int) -> tuple[Any, Any, Any]:
     """The two of `traced` lobes between which a roughness step lies, and its way from the first to
-    the second, in [0, 1).
+    the second, in [0, 1); for one step or an array of them.
     """
     low = step // BETWEEN
     return low, np.minimum(low + 1, traced - 1), step % BETWEEN / BETWEEN
@@ -105,7 +106,7 @@ class LobeTable:
         )
         return cls(direct, off, roughness, albedo, most_metallic)
 
-    def at(self, step: int, rows=slice(None)) -> torch.Tensor:
+    def at(self, step: int, rows: slice | torch.Tensor = slice(None)) -> torch.Tensor:
         """Light matrices (4, n, M) of some rows at one roughness step."""
         low, high, way = neighbours(step, len(self.direct))
         if way == 0:

@@ -49,7 +49,8 @@ class Pool:
         as torch's sum over two axes.
         """
         f = self.shape[1]
-        return sum(x[:, :, i, :, j] for i in range(f) for j in range(f)).reshape(len(x), -1)
+        pixels = (x[:, :, i, :, j] for i in range(f) for j in range(f))
+        return sum(pixels, torch.zeros(())).reshape(len(x), -1)
 
     def up(self, u: torch.Tensor) -> torch.Tensor:
         """Adjoint of `down`: (3, M') -> (3, M)."""

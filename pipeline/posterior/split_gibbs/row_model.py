@@ -158,7 +158,11 @@ class RowModel:
         return self.data.observed - materials.color[self.data.row_region] * U - W
 
     def sums(
-        self, U: np.ndarray, rest: np.ndarray, precision: np.ndarray, point_weight=None
+        self,
+        U: np.ndarray,
+        rest: np.ndarray,
+        precision: np.ndarray,
+        point_weight: float | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """q and g (p, 3): per point and channel sum w U^2 and sum w U r over kappa, with w the
         precision and r the rest, times the point's weight.
@@ -166,7 +170,7 @@ class RowModel:
         wU = precision * U
         return self.thinned(wU * U, point_weight), self.thinned(wU * rest, point_weight)
 
-    def thinned(self, rows: np.ndarray, point_weight=None) -> np.ndarray:
+    def thinned(self, rows: np.ndarray, point_weight: float | None = None) -> np.ndarray:
         """Sums (p, 3) over each point's rows (n, 3), over kappa and times the point's weight."""
         weight = self.data.point_weight if point_weight is None else point_weight
         return self.data.per_point(rows) * np.reshape(weight / self.noise.design_effect, (-1, 1))
@@ -233,6 +237,8 @@ def contrast(rows: Rows, rgb: np.ndarray) -> np.ndarray:
     is, (p, 3), at least 1; rgb (observations, 3).
     """
     patch, points = rows.patch, len(rows.starts)
+    if patch is None:
+        raise ValueError("these rows are single pixels: there is no patch to compare with")
     row = np.repeat(np.arange(patch.shape[0]), np.diff(patch.indptr))
     ratio = rgb[patch.indices] / np.maximum((patch @ rgb)[row], 1e-6)
     # rows are sorted by point

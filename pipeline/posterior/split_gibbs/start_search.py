@@ -181,7 +181,7 @@ class Search:
         materials = fitted_color(model, materials, U, W)
         rest = model.rest(U, W, materials)
 
-        H, b = 0.0, 0.0
+        H, b = torch.zeros(()), torch.zeros(())
         for c, whiten in enumerate(whiteners(model, U, W, materials)):
             u, w = mix(modes[c], metallic)
             J = whiten(float(materials.color[0, c]) * u + w)

@@ -105,6 +105,20 @@ class State:
     coefficients: torch.Tensor | None = None
     prior_code: torch.Tensor | None = None
 
+    @property
+    def modes(self) -> torch.Tensor:
+        """`coefficients`, which must be there. Raises ValueError after the start."""
+        if self.coefficients is None:
+            raise ValueError("the light is no longer in modes of the Gaussian prior")
+        return self.coefficients
+
+    @property
+    def twin(self) -> torch.Tensor:
+        """`prior_code`, which must be there. Raises ValueError before `light_moves.split`."""
+        if self.prior_code is None:
+            raise ValueError("the light's code is not split yet")
+        return self.prior_code
+
 
 Kernel = Callable[[Randomness, State], tuple[State, Any]]
 
