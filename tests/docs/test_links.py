@@ -11,6 +11,7 @@ PAGES += [ROOT / "weights" / "MODEL_CARD.md"]
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
 NAMED = re.compile(r"`((?:[\w.-]+/)*[\w-]+\.py)`")
+PLACEHOLDER = re.compile(r"(^|/)[A-Z]+\.py$")  # `stages/NAME.py`: to be written by the reader
 # a page names files below these as its sections do
 FOLDERS = ["", "pipeline", "pipeline/posterior", "pipeline/posterior/split_gibbs"]
 FOLDERS += ["pipeline/prior", "pipeline/prior/training"]
@@ -39,5 +40,6 @@ def test_links_lead_somewhere(page):
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name not in HISTORY], ids=lambda p: p.name)
 def test_python_files_that_a_page_names_are_there(page):
-    named = set(NAMED.findall(page.read_text(encoding="utf-8")))
+    found = NAMED.findall(page.read_text(encoding="utf-8"))
+    named = {name for name in found if not PLACEHOLDER.search(name)}
     assert [n for n in sorted(named) if not any((ROOT / f / n).exists() for f in FOLDERS)] == []
