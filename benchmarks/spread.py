@@ -44,7 +44,8 @@ from pipeline.posterior.split_gibbs.turns import LAST, Turns
 from pipeline.prior.load import load_prior
 from pipeline.prior.sampling import draw
 from pipeline.render.envmap import directions, resample_area, solid_angles
-from pipeline.render.transport import STEEP, Rows, Transport
+from pipeline.render.rows import STEEP, Rows
+from pipeline.render.transport import Transport
 
 POINTS, ERROR, COLOUR, VIEWED = 300, 0.03, 0.8, 0.35
 Y_UP = [1, 2, 0]  # the lattice begins at the last axis

@@ -33,7 +33,9 @@ from scipy import sparse, special, stats
 from scipy.spatial import cKDTree
 
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
-from pipeline.render.transport import Rows, Transport, lobe_albedo
+from pipeline.render.principled_lobes import lobe_albedo
+from pipeline.render.rows import Rows
+from pipeline.render.transport import Transport
 
 NU = 4.0  # degrees of freedom of the residuals
 LEVELS = (0.08, 0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0)  # roughness of the lobes that are traced

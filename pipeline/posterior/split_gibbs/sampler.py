@@ -46,7 +46,8 @@ from pipeline.posterior.textures import fill, gather, splat
 from pipeline.prior.load import load_prior
 from pipeline.prior.value_code import scale_of
 from pipeline.render.renderer import Explanation
-from pipeline.render.transport import Transport, choose_rows
+from pipeline.render.rows import choose_rows
+from pipeline.render.transport import Transport
 
 # from either start, every row counted in full: what they leave over shows the noise's correlation
 GAUSSIAN_TURNS = 2

@@ -26,7 +26,8 @@ from pipeline.posterior.split_gibbs.likelihood import BETWEEN, METALLIC, Lobes, 
 from pipeline.posterior.split_gibbs.material_moves import categorical, log_prior
 from pipeline.posterior.split_gibbs.pooling import pooled
 from pipeline.prior.gaussian import GaussianPrior
-from pipeline.render.transport import Rows, Transport
+from pipeline.render.rows import Rows
+from pipeline.render.transport import Transport
 
 ROWS = 16  # of the light: the modes are no finer
 ERROR, THINNING = (
