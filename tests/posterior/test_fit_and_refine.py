@@ -10,7 +10,7 @@ from pipeline.geometry.cameras import Rig, save_cameras
 from pipeline.posterior.dpi.as_published import dpi_paper, rho
 from pipeline.posterior.fit import fit
 from pipeline.posterior.problem import Problem
-from pipeline.posterior.refine import base_color_block, refine
+from pipeline.posterior.refine import refine, solve_base_color
 from pipeline.posterior.textures import gather, splat
 from pipeline.prior.load import load_prior
 from pipeline.prior.training.procedural import outdoor
@@ -151,7 +151,7 @@ def test_highlights_do_not_stay_in_the_base_colour(problem):
     obs.clipped = np.zeros(len(obs), bool)
     x = replace(truth, base_color=np.full((32, 32, 3), 0.3, np.float32))
     for _ in range(3):
-        x, _ = base_color_block(glossy, x, 8, rng)
+        x, _ = solve_base_color(glossy, x, 8, rng)
     seen = gather(x.base_color, obs.uv)
     assert obs.rgb.max() > 0.5
     assert np.quantile(np.abs(seen - 0.05), 0.95) < 0.03
@@ -176,5 +176,5 @@ def test_guidance_weight_follows_the_paper():
 def test_saturated_pixels_only_bound_from_below(problem):
     batch = problem.batch(50, 2, np.random.default_rng(0))
     batch.clipped[:] = True
-    assert (problem.residual(batch.y + 1, batch) == 0).all()
-    assert (problem.residual(batch.y - 0.05, batch) < 0).all()
+    assert (problem.residual(batch.observed + 1, batch) == 0).all()
+    assert (problem.residual(batch.observed - 0.05, batch) < 0).all()
