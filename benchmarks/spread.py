@@ -66,7 +66,8 @@ from pipeline.prior.gaussian import translated
 from pipeline.prior.load import load_prior
 from pipeline.prior.sampling import draw
 from pipeline.render.envmap import directions, resample_area, solid_angles
-from pipeline.render.transport import STEEP, Rows, Transport
+from pipeline.render.rows import STEEP, Rows
+from pipeline.render.transport import Transport
 
 POINTS, ERROR, COLOR, VIEWED = 300, 0.03, 0.8, 0.35
 Y_UP = [1, 2, 0]  # the lattice begins at the last axis

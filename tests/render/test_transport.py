@@ -7,9 +7,13 @@ import pytest
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.geometry.cameras import Rig, View, save_cameras
 from pipeline.posterior.split_gibbs.lobes import mix
+from pipeline.render.envmap import directions
+from pipeline.render.light_grid import bilinear
 from pipeline.render.observe import Observations, Tracer
+from pipeline.render.principled_lobes import LOBES, PrincipledLobes, principled_bsdf
 from pipeline.render.renderer import Explanation, Renderer
-from pipeline.render.transport import LOBES, Transport, bilinear, choose_rows, lobe
+from pipeline.render.rows import choose_rows
+from pipeline.render.transport import Transport
 from tests.conftest import look_at, save_surface
 
 MATERIALS = [
@@ -22,30 +26,24 @@ MATERIALS = [
 
 def seen(mesh, radius, height, folder) -> Observations:
     """What a ring of 8 cameras sees of a mesh around the origin."""
-    views, columns, tracer = [], {"view": [], "pixel": [], "cosine": []}, Tracer(mesh)
+    tracer = Tracer(mesh)
+    views = []
+    columns = {"view": [], "pixel": [], "cosine": []}
     for k in range(8):
-        a = 2 * np.pi * k / 8
-        views.append(
-            View(
-                f"v{k}",
-                "",
-                48,
-                48,
-                70,
-                70,
-                24,
-                24,
-                look_at([radius * np.sin(a), height, radius * np.cos(a)]),
-            )
-        )
-    save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.8, "transforms.json"))
-    for k, v in enumerate(views):
-        rows, cols = np.mgrid[0:48, 0:48].reshape(2, -1)
-        _, cosine, hit = tracer.hit(*v.rays(np.stack([cols + 0.5, rows + 0.5], -1)))
+        angle = 2 * np.pi * k / 8
+        pose = look_at([radius * np.sin(angle), height, radius * np.cos(angle)])
+        view = View(f"v{k}", "", 48, 48, 70, 70, 24, 24, pose)
+        views.append(view)
+
+        row, column = np.mgrid[0:48, 0:48].reshape(2, -1)
+        pixel = np.stack([column, row], -1)
+        _, cosine, hit = tracer.hit(*view.rays(pixel + 0.5))
         columns["view"].append(np.full(hit.sum(), k))
-        columns["pixel"].append(np.stack([cols, rows], -1)[hit])
+        columns["pixel"].append(pixel[hit])
         columns["cosine"].append(cosine[hit])
-    table = {n: np.concatenate(c) for n, c in columns.items()}
+
+    save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.8, "transforms.json"))
+    table = {name: np.concatenate(parts) for name, parts in columns.items()}
     n = len(table["view"])
     np.savez(
         folder / "observations.npz",
@@ -67,8 +65,8 @@ def uniform(light, roughness, metallic, base_color) -> Explanation:
 
 def traced(renderer, observations, rows, spp) -> np.ndarray:
     """Radiance (n, 3) of the rows' rays by the path tracer."""
-    o, d = observations.centre_rays(np.tile(rows.observation, spp))
-    return renderer.radiance(o, d, 0).reshape(spp, -1, 3).mean(0)
+    rays = observations.centre_rays(np.tile(rows.observation, spp))
+    return renderer.radiance(*rays, 0).reshape(spp, -1, 3).mean(0)
 
 
 @pytest.fixture(scope="module")
@@ -78,23 +76,22 @@ def scene(ball, tmp_path_factory):
     """
     light = np.random.default_rng(1).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
     light[2, 5] = 12
-    return (
-        Renderer(ball / "mesh_uv.ply", 32, 8, 4),
-        seen(ball / "mesh_uv.ply", 3, 1.2, tmp_path_factory.mktemp("seen")),
-        light,
-    )
+    mesh = ball / "mesh_uv.ply"
+    return Renderer(mesh, 32, 8, 4), seen(mesh, 3, 1.2, tmp_path_factory.mktemp("seen")), light
 
 
 @pytest.fixture(scope="module")
 def bowl(tmp_path_factory):
     """A thick bowl that is open upwards, seen from above: renderer, observations."""
-    folder, axis = tmp_path_factory.mktemp("bowl"), np.linspace(-0.7, 0.7, 44)
-    grid = np.meshgrid(axis, axis, axis, indexing="ij")
-    radius = np.sqrt(sum(g**2 for g in grid))
-    save_surface(folder, np.maximum(np.maximum(radius - 0.6, 0.42 - radius), grid[1] - 0.1), axis)
-    return Renderer(folder / "mesh_uv.ply", 32, 8, 6), seen(
-        folder / "mesh_uv.ply", 1.2, 2.4, folder
-    )
+    folder = tmp_path_factory.mktemp("bowl")
+    axis = np.linspace(-0.7, 0.7, 44)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    radius = np.sqrt(x**2 + y**2 + z**2)
+    shell = np.maximum(radius - 0.6, 0.42 - radius)
+    save_surface(folder, np.maximum(shell, y - 0.1), axis)
+
+    mesh = folder / "mesh_uv.ply"
+    return Renderer(mesh, 32, 8, 6), seen(mesh, 1.2, 2.4, folder)
 
 
 @pytest.fixture(scope="module")
@@ -106,21 +103,21 @@ def transport(scene, ball):
 
 def test_lobes_make_the_principled_bsdf():
     """f = (1 - m)(a A + S) + m (a M1 + (1 - a) M0) to rounding."""
-    rng, n = np.random.default_rng(0), 2000
-    wi, wo = rng.normal(size=(2, 3, n))
-    wi, wo = (w / np.linalg.norm(w, axis=0) for w in (wi, wo))
-    wi[2], wo[2] = abs(wi[2]), abs(wo[2])
-    si = dr.zeros(mi.SurfaceInteraction3f, n)
-    si.wi, out = mi.Vector3f(wi.astype(np.float32)), mi.Vector3f(wo.astype(np.float32))
-    value = lambda m, a, r: np.array(lobe(m, a, r).eval(mi.BSDFContext(), si, out)[0])
+    lanes = 2000
+    pairs = np.random.default_rng(0).normal(size=(2, 3, lanes))
+    pairs /= np.linalg.norm(pairs, axis=1, keepdims=True)
+    pairs[:, 2] = abs(pairs[:, 2])  # both directions above the surface
+    incoming, outgoing = pairs.astype(np.float32)
+    si = dr.zeros(mi.SurfaceInteraction3f, lanes)
+    si.wi = mi.Vector3f(incoming)
+    wo = mi.Vector3f(outgoing)
+
     for r, m, a in MATERIALS:
-        black = value(0.0, 0.0, r)
-        parts = np.stack(
-            [value(0.0, 1.0, r) - black, black, value(1.0, 1.0, r), value(1.0, 0.0, r)]
-        )
-        U, W = mix(parts, m)
-        np.testing.assert_allclose(a * U + W, value(m, a, r), rtol=2e-3, atol=2e-5)
-    assert len(LOBES) == 4
+        lobes = PrincipledLobes(r)(si, wo)
+        assert lobes.shape == (len(LOBES), lanes)
+        U, W = mix(lobes, m)
+        whole = np.array(principled_bsdf(m, a, r).eval(mi.BSDFContext(), si, wo)[0])
+        np.testing.assert_allclose(a * U + W, whole, rtol=2e-3, atol=2e-5)
 
 
 def test_rows_are_grouped_by_point_one_pixel_per_view(scene, transport):
@@ -140,13 +137,13 @@ def test_rows_are_grouped_by_point_one_pixel_per_view(scene, transport):
 
 
 def test_bilinear_weights_reproduce_a_smooth_light():
-    from pipeline.render.envmap import directions
-
-    d = directions(8, 16).reshape(-1, 3)
-    index, weight = bilinear(d, 8)
+    centres = directions(8, 16).reshape(-1, 3)
+    index, weight = bilinear(centres, 8)
     values = np.random.default_rng(0).normal(size=128)
-    np.testing.assert_allclose((values[index] * weight).sum(1), values, atol=1e-6)  # pixel centres
-    assert np.allclose(bilinear(np.random.default_rng(1).normal(size=(50, 3)), 8)[1].sum(1), 1)
+    np.testing.assert_allclose((values[index] * weight).sum(1), values, atol=1e-6)
+
+    _, weight = bilinear(np.random.default_rng(1).normal(size=(50, 3)), 8)
+    assert np.allclose(weight.sum(1), 1)
 
 
 @pytest.mark.parametrize("r,m,a", MATERIALS)
@@ -159,7 +156,9 @@ def test_operator_equals_path_tracer(scene, transport, r, m, a):
     truth = traced(renderer, observations, transport.rows, 512)
     assert abs((a * U + W).mean() / truth.mean() - 1) < 0.02
     assert np.abs(a * U + W - truth).mean() / truth.mean() < 0.06
-    assert off[0].nnz < 0.01 * len(truth) * len(transport.d)  # next to no light off itself
+    assert off[0].nnz < 0.01 * len(truth) * len(
+        transport.cell_direction
+    )  # next to no light off itself
 
 
 def test_a_lamp_in_one_pixel_is_as_bright_as_it_is(scene, ball):

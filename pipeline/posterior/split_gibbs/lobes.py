@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from pipeline.render.transport import Transport, lobe_albedo
+from pipeline.render.principled_lobes import lobe_albedo
+from pipeline.render.transport import Transport
 
 # roughness of the lobes that are traced
 TRACED = (0.08, 0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0)

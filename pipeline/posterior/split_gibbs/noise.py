@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from pipeline.posterior.split_gibbs.row_model import RowModel
 from pipeline.posterior.split_gibbs.state import Noise
-from pipeline.render.transport import Rows
+from pipeline.render.rows import Rows
 
 # degrees of freedom of the errors' Student's t
 NU = 4.0

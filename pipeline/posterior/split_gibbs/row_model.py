@@ -32,7 +32,8 @@ from scipy import special, stats
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.posterior.split_gibbs.lobes import LobeTable
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
-from pipeline.render.transport import Rows, Transport
+from pipeline.render.rows import Rows
+from pipeline.render.transport import Transport
 
 # quantile of a point's pixels whose base colour must be possible
 BRIGHT = 0.9

@@ -29,7 +29,8 @@ from pipeline.prior.load import load_prior
 from pipeline.prior.protocol import LightPrior
 from pipeline.prior.value_code import scale_of
 from pipeline.render.renderer import Explanation
-from pipeline.render.transport import Transport, choose_rows
+from pipeline.render.rows import choose_rows
+from pipeline.render.transport import Transport
 
 # pieces of surface that err together; shape of their gamma weights: half the variance of a full
 # bootstrap, for the draws' own spread adds to it

@@ -29,7 +29,7 @@ from pipeline.posterior.split_gibbs.pooling import pooled
 from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
 from pipeline.prior.gaussian import GaussianPrior
-from pipeline.render.transport import Rows
+from pipeline.render.rows import Rows
 
 # rows of the light: the modes are no finer
 ROWS = 16

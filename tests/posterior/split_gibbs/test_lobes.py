@@ -7,7 +7,8 @@ from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, poin
 from pipeline.posterior.split_gibbs.lobes import BETWEEN, TRACED, LobeTable
 from pipeline.posterior.split_gibbs.row_model import RowData
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
-from pipeline.render.transport import Transport, choose_rows
+from pipeline.render.rows import choose_rows
+from pipeline.render.transport import Transport
 from tests.render.test_transport import traced, uniform
 
 

@@ -14,7 +14,7 @@ from pipeline.posterior.split_gibbs.noise import (
 )
 from pipeline.posterior.split_gibbs.row_model import RowModel
 from pipeline.posterior.split_gibbs.state import Noise
-from pipeline.render.transport import Rows
+from pipeline.render.rows import Rows
 
 
 class Residuals(RowModel):
