@@ -81,7 +81,9 @@ def facts(model: Model, state: State) -> dict:
 def explanation(
     rng: Randomness, model: Model, state: State, fit: Explanation
 ) -> tuple[Explanation, dict]:
-    """The draw as an explanation, and its facts; `state.code` is a code of the diffusion prior."""
+    """Step 6: the draw as an explanation, and its facts; `state.code` is a code of the diffusion
+    prior.
+    """
     decoder = model.decoder(model.prior)
     light = decoder.light(state.code, state.log_scale)
     drawn = maps(rng, model, state, light)

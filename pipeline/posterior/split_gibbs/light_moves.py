@@ -108,7 +108,12 @@ def to_modes(unknowns: ModeUnknowns) -> Kernel:
 def smooth_light(
     mixer: Mixer, decoder: Decoder, modes: Modes, sigma: float, label: str | None
 ) -> Kernel:
-    """Kernel: one step of decoupled annealing at noise level sigma, with the mean colours."""
+    """Kernel (Step 4a): one step of decoupled annealing at noise level sigma, with the mean
+    colours.
+
+    x ~ N(D(code + sigma n; sigma), (C^-1 + sigma^-2)^-1) l(x) with the network D, the Gaussian
+    prior's covariance C and the likelihood l of the photos.
+    """
     prior = decoder.prior
 
     def kernel(rng: Randomness, state: State) -> tuple[State, SliceInfo]:
@@ -135,7 +140,10 @@ def split(rho: float) -> Kernel:
 
 
 def photo_light(mixer: Mixer, decoder: Decoder, rho: float) -> Kernel:
-    """Kernel z | x: the light's code given photos and its twin, with the regions' mean colours."""
+    """Kernel (Step 5a), z | x: the light's code given photos and its twin, with the mean colours.
+
+    z ~ N(x, rho^2) l(z), by `light_draw.draw_light`.
+    """
 
     def kernel(rng: Randomness, state: State) -> tuple[State, SliceInfo]:
         unknowns = PixelUnknowns(decoder.prior.height * decoder.prior.width, rho)
@@ -164,7 +172,10 @@ def pull_of_twin(prior: LightPrior, rho: float) -> Callable[[State], Callable[[n
 
 
 def prior_light(prior: LightPrior, rho: float, label: str | None) -> Kernel:
-    """Kernel x | z: the twin given the light's code, by reverse diffusion from noise rho down."""
+    """Kernel (Step 5d), x | z: the twin given the light's code, by reverse diffusion.
+
+    x ~ p(x) N(z; x, rho^2): what the prior makes of a code seen through noise of width rho.
+    """
 
     def kernel(rng: Randomness, state: State) -> tuple[State, int]:
         z = state.code.reshape(1, 3, prior.height, prior.width)
@@ -176,7 +187,8 @@ def prior_light(prior: LightPrior, rho: float, label: str | None) -> Kernel:
 
 
 def scale_of_one(prior: LightPrior) -> Kernel:
-    """Kernel: what a code is over scale one goes to the light's scale; the radiance stays.
+    """Kernel (Step 4d, Step 5e): what a code is over scale one goes to the light's scale; the
+    radiance stays.
 
     The prior's maps were all of scale one (prior/value_code.py). The photos move the code's mean:
     under a scale that stood still it would be where the network has never been, and be pulled back.

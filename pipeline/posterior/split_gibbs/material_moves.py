@@ -265,7 +265,8 @@ def draw_gauge(
 def gauge_kernel(
     mixer: Mixer, decoder: Decoder, centre: float, pull_of: Callable[[State], Callable]
 ) -> Kernel:
-    """Kernel: the light's scale, its channels' brightness and the mean colours, the pattern held.
+    """Kernel (Step 4b, Step 5b): the light's scale, its channels' brightness and the mean colours,
+    the pattern held.
 
     `pull_of(state)` is `draw_gauge`'s pull.
     """
@@ -301,8 +302,8 @@ class MaterialInfo(NamedTuple):
 def material_kernel(
     mixer: Mixer, decoder: Decoder, steps: int, proposal: Proposal = propose_all
 ) -> Kernel:
-    """Kernel: region materials, the points' offsets (with `propose_all` only), then the spread of
-    colours and the noise given the points' colours.
+    """Kernel (Step 4c, Step 5c): region materials, the points' offsets (with `propose_all`
+    only), then the spread of colours and the noise given the points' colours.
     """
 
     def kernel(rng: Randomness, state: State) -> tuple[State, MaterialInfo]:

@@ -127,8 +127,8 @@ def start(rng: Randomness, model: Model, state: State, sweeps: int) -> State:
 def begun(
     rng: Randomness, model: Model, state: State, materials: RegionMaterials, code: torch.Tensor
 ) -> tuple[float, State]:
-    """First sweeps from materials and a code (3, m) of the Gaussian prior: log odds of how well
-    they explain the rows, and the state they end in.
+    """Step 2b: first sweeps from materials and a code (3, m) of the Gaussian prior: log odds of
+    how well they explain the rows, and the state they end in.
     """
     coefficients = model.gaussian_unknowns.nearest(code)
     state = replace(state, materials=materials, code=code, coefficients=coefficients)

@@ -125,7 +125,7 @@ def block_weights(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def set_up(
     problem: Problem, prior: LightPrior, fit: Explanation, settings: Sample, seed: int
 ) -> tuple[Randomness, Model, State]:
-    """Random numbers, model and first state of draw `seed`; `fit` is the point estimate."""
+    """Step 1: random numbers, model and first state of draw `seed`; `fit` is the point estimate."""
     rng = Randomness(*generators(settings, seed))
     observations = problem.observations
     own = settings.seed + 1000 * seed

@@ -260,8 +260,8 @@ class Search:
     def run(
         self, materials: RegionMaterials, sweeps: int, rng: np.random.Generator
     ) -> list[tuple[RegionMaterials, torch.Tensor]]:
-        """Two starts, materials of all regions and a light code (3, m) each, after `sweeps` over
-        all regions at once and each alone.
+        """Step 2a: two starts, materials of all regions and a light code (3, m) each, after
+        `sweeps` over all regions at once and each alone.
 
         One from `materials` and a flat light, the first sweep without much of the saturated rows:
         every one is too dark, and materials that spread highlights would explain them. One from the

@@ -17,7 +17,9 @@ from pipeline.posterior.split_gibbs.state import Kernel, Randomness, State
 
 
 def thinning(model: Model) -> Kernel:
-    """Kernel, run once: measures the design effect from the residuals under the state's light."""
+    """Kernel (Step 3), run once: measures the design effect from the residuals under the state's
+    light.
+    """
 
     def kernel(rng: Randomness, state: State) -> tuple[State, float]:
         data = model.data
