@@ -9,7 +9,7 @@ from scipy import stats
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.prior.load import load_prior
 from pipeline.render.envmap import sh_coefficients
-from tests.posterior.test_fit_and_refine import problem, start, toy  # noqa: F401  (fixtures)
+from tests.posterior.conftest import problem, start, toy  # noqa: F401  (fixtures)
 from tests.posterior.test_samplers import SMALL, one_thread  # noqa: F401
 
 pytestmark = pytest.mark.heavy

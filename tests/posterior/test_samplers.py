@@ -11,7 +11,6 @@ from pipeline.base.runtime import set_threads
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.posterior.split_gibbs.sampler import Chain
 from pipeline.prior.load import load_prior
-from tests.posterior.test_fit_and_refine import problem, start, toy  # noqa: F401  (fixtures)
 
 SMALL = Sample(
     steps=8,
@@ -37,7 +36,7 @@ def one_thread():
     set_threads(2)
 
 
-def error(problem, x) -> float:  # noqa: F811
+def error(problem, x) -> float:
     """Median relative error over the observed pixels."""
     index = np.arange(0, len(problem.observations), 4)
     problem.renderer.set(x)
@@ -46,7 +45,7 @@ def error(problem, x) -> float:  # noqa: F811
     return float(np.median(np.abs(L - y) / (y + 0.1)))
 
 
-def test_a_chain_goes_back_to_an_earlier_state(problem, start):  # noqa: F811
+def test_a_chain_goes_back_to_an_earlier_state(problem, start):
     """Turns change materials, noise and light; `resume` brings all of them back, in what the photos
     predict too.
     """
@@ -66,7 +65,7 @@ def test_a_chain_goes_back_to_an_earlier_state(problem, start):  # noqa: F811
 
 
 @pytest.mark.parametrize("name", list(SAMPLERS))
-def test_sampler_explains_the_photos_from_its_seed(problem, start, name):  # noqa: F811
+def test_sampler_explains_the_photos_from_its_seed(problem, start, name):
     """A draw in between must not matter, another seed must, and the median pixel is right to 15 %
     where steps suffice.
     """
