@@ -16,7 +16,9 @@ import pytest
 
 from pipeline.base import runtime
 
-runtime.set_threads(2)
+# Of torch and BLAS: these matrices are too small to share, and on a busy machine two threads that
+# wait for each other are ten times slower than one. Dr.Jit, loaded later, takes all cores.
+runtime.set_threads(1)
 
 TESTS = Path(__file__).resolve().parent
 COLLECTED = pytest.StashKey[list]()  # all tests found, those left out by -m too
@@ -55,6 +57,17 @@ def look_at(eye, target=(0, 0, 0), up=(0, 1, 0)) -> np.ndarray:
     out[:3, :3] = np.stack([x, np.cross(z, x), z])
     out[:3, 3] = -out[:3, :3] @ eye
     return out
+
+
+@pytest.fixture
+def one_thread():
+    """Dr.Jit on one thread too, as in the sample stage: sums in a fixed order."""
+    import drjit
+
+    before = drjit.thread_count()
+    runtime.set_threads(1)
+    yield
+    drjit.set_thread_count(before)
 
 
 @pytest.fixture

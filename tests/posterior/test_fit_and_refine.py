@@ -36,18 +36,14 @@ def test_fit_explains_the_photos(start):
     assert facts["loss_end"] < 0.4 * facts["loss_start"]
 
 
-def test_sample_is_the_same_alone_or_among_others(problem, start):
+def test_sample_is_the_same_alone_or_among_others(problem, start, one_thread):
     """Bit for bit (one thread); nothing of an earlier sample may leak into a later one (the
     published code's first defect).
     """
-    from pipeline.base.runtime import set_threads
-
     prior, settings = load_prior("prior_small"), Sample(steps=6, pixels=300, spp=2, texture=32)
-    set_threads(1)
     alone, _ = dpi_paper(problem, prior, start[0], settings, 1)
     other, _ = dpi_paper(problem, prior, start[0], settings, 0)
     again, _ = dpi_paper(problem, prior, start[0], settings, 1)
-    set_threads(2)
     for name in ("light", "base_color", "roughness", "metallic"):
         assert (getattr(alone, name) == getattr(again, name)).all(), name
     assert not (alone.light == other.light).all()
