@@ -7,33 +7,28 @@ import pytest
 import torch
 
 from pipeline.base.config import Sample
-from pipeline.base.runtime import set_threads
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.posterior.split_gibbs.sampler import Chain
 from pipeline.prior.load import load_prior
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 SMALL = Sample(
     steps=8,
     pixels=400,
     spp=2,
     texture=32,
     learning_rate=0.05,
-    levels=4,
+    smooth=1,
+    levels=2,
     stay=1,
-    points=150,
-    views=4,
-    region_steps=20,
-    search_points=25,
+    points=40,
+    views=3,
+    light=8,
+    region_steps=5,
+    search_prior="gaussian_tiny",
+    search_points=10,
     search_sweeps=1,
 )
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    """As the sample stage: sums in a fixed order."""
-    set_threads(1)
-    yield
-    set_threads(2)
 
 
 def error(problem, x) -> float:
@@ -64,6 +59,7 @@ def test_a_chain_goes_back_to_an_earlier_state(problem, start):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(SAMPLERS))
 def test_sampler_explains_the_photos_from_its_seed(problem, start, name):
     """A draw in between must not matter, another seed must, and the median pixel is right to 15 %
