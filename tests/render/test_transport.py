@@ -1,12 +1,13 @@
 """The linear operator against the path tracer, and the likelihood against dense linear algebra."""
 
+from copy import copy
 from types import SimpleNamespace
 
 import drjit as dr
 import numpy as np
 import pytest
 import torch
-from scipy import stats
+from scipy import integrate, stats
 
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.geometry.cameras import Rig, View, save_cameras
@@ -14,6 +15,7 @@ from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.posterior.split_gibbs.likelihood import (
     BETWEEN,
     LEVELS,
+    NU,
     Lobes,
     Photos,
     Theta,
@@ -230,7 +232,7 @@ def test_lobes_between_the_traced_ones(scene, transport):
     highlights = lambda F: np.asarray(F)[1:3] @ light
     for level in (6, 10, 18):
         truth = highlights(transport.at(lobes.levels[level], 5)[0])
-        error = lambda F: np.sqrt(((highlights(F) / truth - 1) ** 2).mean())
+        error = lambda F, truth=truth: np.sqrt(((highlights(F) / truth - 1) ** 2).mean())
         beside = [error(lobes.direct[level // BETWEEN + k]) for k in (0, 1)]
         assert error(lobes.at(level)) < 0.1 and error(lobes.at(level)) < 0.7 * min(beside)
     assert np.allclose(lobes.levels[::BETWEEN], LEVELS[2:]) and len(lobes.levels) == 5 * BETWEEN + 1
@@ -404,24 +406,90 @@ def test_saturated_rows_are_lower_bounds(photos, scene):
     photos.set(kept)
 
 
-def test_drawn_colours_and_noise_recover_the_truth(photos, scene):
-    """Rows made from known colours and noise: colours within error bars, eta within 10 %."""
-    rng, light = np.random.default_rng(0), scene[2].reshape(-1, 3).astype(float)
-    U, W = photos.predict(light)
-    truth = np.clip(
-        photos.theta.mu[photos.region]
-        * (1 + photos.theta.tau[photos.region, None] * rng.normal(size=(40, 3))),
-        0.02,
-        0.95,
+def uniform_p(values: np.ndarray) -> float:
+    """p-value of Kolmogorov and Smirnov's test that values are uniform on [0, 1]."""
+    return float(stats.kstest(np.ravel(values), "uniform").pvalue)
+
+
+def test_colours_are_drawn_from_their_conditional(photos, scene):
+    """Every point's colour through the cumulated density of N(a; mu, v) N(y; a U + W, D kappa) on
+    [0, ceiling], summed over a grid: uniform over all points and draws.
+    """
+    rng, (U, W) = np.random.default_rng(0), photos.predict(scene[2].reshape(-1, 3).astype(float))
+    draws = np.stack([photos.draw_colour(U, W, photos.theta, rng) for _ in range(100)])
+    assert draws.min() >= 0 and (draws <= photos.ceiling).all()
+    uniform = np.empty_like(draws)
+    for p, c in np.ndindex(draws.shape[1:]):
+        k, r = photos.rows.point == p, photos.region[p]
+        a = np.linspace(0, photos.ceiling[p, c], 4001)
+        mu, observed = photos.theta.mu[r, c], photos.observed[k, c]
+        D = photos.kappa * (photos.eta * (observed + SHADE)) ** 2 / photos.weight[k]
+        e = observed - a[:, None] * U[k, c] - W[k, c]
+        log = -0.5 * ((e**2 / D).sum(1) + ((a - mu) / (photos.theta.tau[r] * mu)) ** 2)
+        below = integrate.cumulative_trapezoid(np.exp(log - log.max()), a, initial=0)
+        uniform[:, p, c] = np.interp(draws[:, p, c], a, below / below[-1])
+    assert uniform_p(uniform) > 0.01
+
+
+def drawn_noise(relative, free, clipped, eta: float, kappa: float, rng) -> tuple:
+    """eta and lambda (n,) after a draw, for squared relative residuals (n, 3), of which `free` are
+    those of explained saturated rows.
+    """
+    photos = SimpleNamespace(
+        misfit=lambda *_: (np.where(free, 0, relative), free), clipped=clipped, eta=eta, kappa=kappa
     )
+    Photos.draw_noise(photos, None, None, None, rng)
+    return photos.eta, photos.weight
+
+
+@pytest.mark.parametrize("kappa", [1.0, 2.5])
+def test_noise_is_drawn_from_its_conditionals(kappa):
+    """lambda_i ~ Gamma((NU + channels that count) / 2, (NU + sum of their squares / eta^2) / 2),
+    then eta^2 of the rows that are not saturated ~ inverse gamma, its prior's shape 1 and scale
+    1e-4: both through their distribution functions, uniform over 4000 draws.
+    """
+    rng, eta = np.random.default_rng(0), 0.02
+    relative = eta**2 * rng.chisquare(1, size=(5, 3))
+    clipped = np.arange(5) >= 3
+    free = clipped[:, None] & np.array([False, True, True])  # explained in two channels
+    free[4] = True
+    draws = [drawn_noise(relative, free, clipped, eta, kappa, rng) for _ in range(4000)]
+    etas, weights = (np.array(column) for column in zip(*draws))
+
+    counted = np.where(free, 0, relative)
+    shape, rate = (NU + (~free).sum(1)) / 2, (NU + counted.sum(1) / eta**2) / 2
+    uniform = stats.gamma.cdf(weights, shape, scale=1 / rate)
+    assert min(uniform_p(row) for row in uniform.T) > 0.01 / 5
+
+    square = (weights[:, :3] * relative[:3].sum(1)).sum(1) / kappa
+    law = stats.invgamma(9 / (2 * kappa) + 1, scale=square / 2 + 1e-4)
+    assert uniform_p(law.cdf(etas**2)) > 0.01
+
+
+def test_drawn_colours_and_noise_recover_the_truth(photos, scene):
+    """Rows made from known colours and Student's t noise: the truth lies among the draws of colours
+    and noise in turn, as far from their mean as they spread.
+    """
+    rng, light = np.random.default_rng(0), scene[2].reshape(-1, 3).astype(float)
+    photos, (U, W) = copy(photos), photos.predict(light)
+    spread = photos.theta.tau[photos.region, None]
+    truth = photos.theta.mu[photos.region] * (1 + spread * rng.normal(size=(40, 3)))
+    truth = np.clip(truth, 0.02, 0.9 * photos.ceiling)
     clean = truth[photos.rows.point] * U + W
-    photos.observed = clean / (1 - 0.05 * np.clip(rng.normal(size=clean.shape), -3, 3))
+    weight = rng.gamma(NU / 2, 2 / NU, size=(len(clean), 1))
+    error = 0.05 * rng.normal(size=clean.shape) / np.sqrt(weight)
+    photos.observed = (clean + SHADE * error) / (1 - error)
+
     photos.kappa, photos.weight, photos.eta = 1.0, np.ones(len(clean)), 0.3
-    for _ in range(30):
-        colour = photos.draw_colour(U, W, photos.theta, rng)
-        photos.draw_noise(U, W, colour, rng)
-    assert np.median(np.abs(colour / truth - 1)) < 0.1
-    assert 0.02 < photos.eta < 0.055  # t residuals with clipped normal noise
+    colours, etas = [], []
+    for _ in range(120):
+        colours.append(photos.draw_colour(U, W, photos.theta, rng))
+        photos.draw_noise(U, W, colours[-1], rng)
+        etas.append(photos.eta)
+    colours, etas = np.array(colours[20:]), np.array(etas[20:])
+    assert 0.85 < ((truth - colours.mean(0)) / colours.std(0)).std() < 1.15
+    assert np.median(np.abs(colours.mean(0) / truth - 1)) < 0.06
+    assert abs(etas.mean() - 0.05) < 3 * etas.std() and etas.std() < 0.1 * etas.mean()
 
 
 def test_design_effect_sees_correlation():
