@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from pipeline.posterior.split_gibbs.likelihood import BETWEEN, NU, Photos, Theta
@@ -14,8 +15,14 @@ from pipeline.posterior.split_gibbs.material_moves import (
     METALLIC,
     METALLIC_PRIOR,
     TAIL,
+    TAU_PRIOR,
+    accepted,
     draw_offsets,
     draw_regions,
+    log_colour_prior,
+    log_prior,
+    propose,
+    propose_spread,
 )
 from pipeline.posterior.split_gibbs.regions import group, texel_regions
 from pipeline.posterior.split_gibbs.sampler import BLOCKS, SHARES, block_shares, sharpest
@@ -30,55 +37,147 @@ SILENT = SimpleNamespace(
 )
 
 
-def from_the_prior(rng) -> Theta:
-    """Two regions, directly: Student's t as a normal over a chi, impossible colours and rough
-    metals thrown away.
+def from_the_prior(count: int, rng) -> list[Theta]:
+    """Draws of two regions, directly: Student's t as a normal over a chi, impossible colours and
+    rough metals thrown away.
     """
     root = np.linalg.cholesky((1 - COMMON) * np.eye(2) + COMMON)
-    student = lambda k: root @ rng.normal(size=(2, k)) * np.sqrt(TAIL / rng.chisquare(TAIL))
     across = np.linalg.svd(np.ones((1, 3)))[2][1:]
-    while True:
-        level, m = (
-            rng.integers(8, size=2),
-            rng.choice(METALLIC, 2, p=np.exp(METALLIC_PRIOR) / np.exp(METALLIC_PRIOR).sum()),
-        )
-        centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
-        mu = np.exp((centre + width * student(1)[:, 0])[:, None] + CHROMA * student(2) @ across)
-        if mu.max() < 0.98 and (m <= MOST_METALLIC[level]).all():
-            return Theta(mu, np.full(2, 0.3), level, m)
+    tried = 4 * count
+    chi = np.sqrt(TAIL / rng.chisquare(TAIL, (2, tried, 1, 1)))
+    student = lambda k: root @ rng.normal(size=(tried, 2, k)) * chi[k - 1]
+
+    level = rng.integers(8, size=(tried, 2))
+    odds = np.exp(METALLIC_PRIOR)
+    m = rng.choice(METALLIC, (tried, 2), p=odds / odds.sum())
+    centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
+    bright = centre + width * student(1)[..., 0]
+    mu = np.exp(bright[..., None] + CHROMA * student(2) @ across)
+
+    possible = (mu.max((1, 2)) < 0.98) & (m <= MOST_METALLIC[level]).all(1)
+    kept = np.flatnonzero(possible)[:count]
+    assert len(kept) == count
+    return [Theta(mu[k], np.full(2, 0.3), level[k], m[k]) for k in kept]
 
 
-def figures(thetas: list[Theta]) -> np.ndarray:
-    """Quartiles of one region's log brightness, share of metals, mean level over 8, share of times
-    that both regions are on one side of its median, tint.
+def figures(thetas: list[Theta], edges: np.ndarray) -> np.ndarray:
+    """Shares of one region's log brightness below `edges` (3,), share of metals, mean level over 8,
+    share of times that both regions are on one side of the middle edge, tint.
     """
     log_mu = np.log([t.mu for t in thetas])
     bright, metal = log_mu.mean(2), np.array([t.m[0] > 0.5 for t in thetas])
-    middle = np.median(bright)
-    tint = np.median(np.abs(log_mu[:, 0] - bright[:, :1]))
-    level = np.mean([t.level[0] for t in thetas]) / 8
     return np.array(
         [
-            *np.percentile(bright[:, 0], [25, 50, 75]),
+            *(bright[:, :1] < edges).mean(0),
             metal.mean(),
-            level,
-            ((bright > middle).sum(1) != 1).mean(),
-            tint,
+            np.mean([t.level[0] for t in thetas]) / 8,
+            ((bright > edges[1]).sum(1) != 1).mean(),
+            np.median(np.abs(log_mu[:, 0] - bright[:, :1])),
         ]
     )
 
 
+@pytest.mark.slow
 def test_moves_leave_the_prior_as_it_is():
-    """Every chain starts with a draw of the prior, and still is one after 40 steps of wide
-    moves.
+    """Every chain starts with a draw of the prior, and still is one after 30 steps of wide moves:
+    to four deviations of each figure.
     """
     rng = np.random.default_rng(0)
-    first = [from_the_prior(rng) for _ in range(2500)]
+    many, first = from_the_prior(40_000, rng), from_the_prior(1250, rng)
     lobes = np.zeros((8, 4, 2, 3))
-    last = [draw_regions(SILENT, lobes, t, 40, rng, np.full(2, 0.5)) for t in first]
+    last = [draw_regions(SILENT, lobes, t, 30, rng, np.full(2, 0.5)) for t in first]
     moved = np.mean([np.abs(a.mu - b.mu).max() > 0.01 for a, b in zip(first, last)])
     assert moved > 0.9
-    np.testing.assert_allclose(figures(last), figures(first), atol=0.06)
+
+    edges = np.quantile([np.log(t.mu[0]).mean() for t in many], [0.25, 0.5, 0.75])
+    exact = figures(many, edges)
+    parts = [figures(many[k : k + 1250], edges) for k in range(0, 40_000, 1250)]
+    deviation = np.std(parts, axis=0, ddof=1)
+    assert deviation.max() < 0.016
+    assert (np.abs(figures(last, edges) - exact) < 4 * deviation).all()
+
+
+def test_prior_of_the_materials_is_students_t():
+    """Ratios of densities of three regions against scipy's: brightness of all regions together, the
+    two directions of their tint together, metallic and spread each by itself.
+    """
+    rng = np.random.default_rng(0)
+    shape = (1 - COMMON) * np.eye(3) + COMMON
+    across = np.linalg.svd(np.ones((1, 3)))[2][1:]
+
+    def expected(theta: Theta) -> float:
+        log_mu = np.log(theta.mu)
+        centre, width = ((1 - theta.m) * a + theta.m * b for a, b in zip(DIELECTRIC, METAL))
+        bright = stats.multivariate_t(centre, np.outer(width, width) * shape, df=TAIL)
+        tint = stats.multivariate_t(np.zeros(6), CHROMA**2 * np.kron(shape, np.eye(2)), df=TAIL)
+        spread = stats.norm(*TAU_PRIOR).logpdf(np.log(theta.tau)).sum()
+        metallic = sum(METALLIC_PRIOR[METALLIC.tolist().index(m)] for m in theta.m)
+        return (
+            bright.logpdf(log_mu.mean(1))
+            + tint.logpdf((log_mu @ across.T).ravel())
+            + spread
+            + metallic
+        )
+
+    draw = lambda: Theta(
+        rng.uniform(0.02, 0.95, (3, 3)),
+        rng.uniform(0.05, 1.0, 3),
+        rng.integers(8, size=3),
+        rng.choice(METALLIC, 3),
+    )
+    thetas = [draw() for _ in range(50)]
+    difference = [log_prior(t) - expected(t) for t in thetas]
+    np.testing.assert_allclose(difference, difference[0], atol=1e-9)
+
+    impossible = thetas[0].copy()
+    impossible.mu[1, 2] = 0.985
+    assert log_prior(impossible) == -np.inf
+
+
+def test_regions_are_accepted_one_after_the_other():
+    """By Metropolis's rule on the prior of all colours together, times what speaks for each."""
+    rng = np.random.default_rng(0)
+    draw = lambda: Theta(
+        rng.uniform(0.02, 0.95, (4, 3)), np.full(4, 0.3), np.zeros(4, int), rng.choice(METALLIC, 4)
+    )
+    for seed in range(50):
+        theta, new, gain = draw(), draw(), rng.normal(size=4)
+        found = accepted(theta, new, gain, np.random.default_rng(seed))
+        mu, m = theta.mu.copy(), theta.m.copy()
+        for r, level in enumerate(np.log(np.random.default_rng(seed).random(4))):
+            other_mu, other_m = mu.copy(), m.copy()
+            other_mu[r], other_m[r] = new.mu[r], new.m[r]
+            ratio = log_colour_prior(other_mu, other_m) - log_colour_prior(mu, m)
+            assert found[r] == (level < gain[r] + ratio)
+            if found[r]:
+                mu, m = other_mu, other_m
+
+
+def test_proposals_are_symmetric():
+    """From a to b as often as from b to a, of roughness and metallic; steps of log colour and of
+    spread as often up as down, whatever the place.
+    """
+    rng, n = np.random.default_rng(0), 200_000
+    start = Theta(
+        np.full((n, 3), 0.3), np.full(n, 0.3), rng.integers(8, size=n), rng.choice(METALLIC, n)
+    )
+    new = propose(start, 8, rng, np.full(n, 0.5))
+    at = lambda t: t.level * len(METALLIC) + np.searchsorted(METALLIC, t.m)
+    states = 8 * len(METALLIC)
+    flow = np.bincount(at(start) * states + at(new), minlength=states**2).reshape(states, states)
+    both = flow + flow.T
+    often = np.triu(both >= 20, 1)
+    assert often.sum() > 300
+    z = (flow - flow.T)[often] / np.sqrt(both[often])
+    assert abs((z**2).mean() - 1) < 5 * np.sqrt(2 / often.sum()) and np.abs(z).max() < 4.5
+
+    steps = np.log(new.mu / start.mu)
+    assert steps.std() > 0.2
+    for column in (*steps.T, steps.sum(1)):
+        assert stats.kstest(column[::2], -column[1::2]).pvalue > 1e-3
+    moved = propose_spread(start, 8, rng, np.full(n, 0.5))
+    spread = np.log(moved.tau / start.tau)
+    assert spread.std() > 0.2 and stats.kstest(spread[::2], -spread[1::2]).pvalue > 1e-3
 
 
 def test_block_shares_are_even_in_the_mean_and_uneven_between_blocks():
