@@ -1,5 +1,12 @@
-"""Shared pieces: a small closed mesh with an atlas, cameras around it, and scene folders in
-temporary places.
+"""Shared pieces: the tiers of the tests, a small closed mesh with an atlas, cameras around it, and
+scene folders in temporary places.
+
+Every test belongs to one tier, and its marker is set here:
+
+    dag     in tests/dag: whole stages as processes, through the workflow
+    heavy   in tests/heavy: minutes each; the only tier that a plain `pytest` leaves out
+    slow    marked `slow` by hand: seconds each, because what they test is a whole chain
+    unit    all others: `pytest -m unit`
 """
 
 from pathlib import Path
@@ -9,7 +16,34 @@ import pytest
 
 from pipeline.base import runtime
 
-runtime.set_threads(2)
+# Of torch and BLAS: these matrices are too small to share, and on a busy machine two threads that
+# wait for each other are ten times slower than one. Dr.Jit, loaded later, takes all cores.
+runtime.set_threads(1)
+
+TESTS = Path(__file__).resolve().parent
+COLLECTED = pytest.StashKey[list]()  # all tests found, those left out by -m too
+
+
+def tier_of(path: Path, marks: set[str]) -> str:
+    """Tier of a test in the file `path` with these markers set by hand. ValueError where the two
+    contradict each other.
+    """
+    folder = path.relative_to(TESTS).parts[0]
+    tier = folder if folder in ("dag", "heavy") else "slow" if "slow" in marks else "unit"
+
+    others = marks & {"unit", "slow", "dag", "heavy"} - {tier}
+    if others:
+        raise ValueError(f"{path}: a test of the tier {tier} is marked {sorted(others)}")
+    return tier
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    """Mark every test with its tier, before -m selects."""
+    for item in items:
+        marks = {mark.name for mark in item.iter_markers()}
+        item.add_marker(tier_of(item.path, marks))
+    config.stash[COLLECTED] = list(items)
 
 
 def look_at(eye, target=(0, 0, 0), up=(0, 1, 0)) -> np.ndarray:
@@ -23,6 +57,17 @@ def look_at(eye, target=(0, 0, 0), up=(0, 1, 0)) -> np.ndarray:
     out[:3, :3] = np.stack([x, np.cross(z, x), z])
     out[:3, 3] = -out[:3, :3] @ eye
     return out
+
+
+@pytest.fixture
+def one_thread():
+    """Dr.Jit on one thread too, as in the sample stage: sums in a fixed order."""
+    import drjit
+
+    before = drjit.thread_count()
+    runtime.set_threads(1)
+    yield
+    drjit.set_thread_count(before)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The house's floors: a folder of pipeline/ imports only from those above it, and no import runs in a circle."""
+"""The floors of the house: a folder of pipeline/ imports only from those above it, in no circle."""
 
 import ast
 from pathlib import Path
@@ -77,7 +77,7 @@ def test_no_import_runs_in_a_circle():
 
 
 def test_packages_hold_no_logic():
-    """An __init__.py is a docstring; only the top one does something: it points Dr.Jit at its LLVM."""
+    """An __init__.py is a docstring; only the top one does something: it finds Dr.Jit's LLVM."""
     for file in SOURCES:
         if file.name == "__init__.py" and file.parent.name != "pipeline":
             assert [type(n).__name__ for n in ast.parse(file.read_text()).body] == ["Expr"], file

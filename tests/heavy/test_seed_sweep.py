@@ -6,14 +6,28 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pipeline.base.config import Sample
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.prior.load import load_prior
 from pipeline.render.envmap import sh_coefficients
-from tests.posterior.test_fit_and_refine import problem, start, toy  # noqa: F401  (fixtures)
-from tests.posterior.test_samplers import SMALL, one_thread  # noqa: F401
+from tests.posterior.conftest import problem, start, toy  # noqa: F401  (fixtures)
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.usefixtures("one_thread")]
 DRAWS = 8
+SMALL = Sample(
+    steps=8,
+    pixels=400,
+    spp=2,
+    texture=32,
+    learning_rate=0.05,
+    levels=4,
+    stay=1,
+    points=150,
+    views=4,
+    region_steps=20,
+    search_points=25,
+    search_sweeps=1,
+)
 
 
 def figures(x) -> np.ndarray:
@@ -44,7 +58,8 @@ def test_a_seed_sweep_moves_nothing_but_noise(problem, start):  # noqa: F811
     p = stats.ttest_ind(a[:, moves], b[:, moves], equal_var=False).pvalue
     ratio = a[:, moves].var(0, ddof=1) / b[:, moves].var(0, ddof=1)
     print(
-        f"least p {p.min():.3f} of {len(p)}, median {np.median(p):.2f}; median ratio of variances {np.median(ratio):.2f}"
+        f"least p {p.min():.3f} of {len(p)}, median {np.median(p):.2f}; "
+        f"median ratio of variances {np.median(ratio):.2f}"
     )
     assert moves.sum() > 25 and p.min() > 0.001 / len(p)
     assert 0.3 < np.median(ratio) < 3.3

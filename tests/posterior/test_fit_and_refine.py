@@ -2,72 +2,15 @@ from copy import copy
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from pipeline.base.config import Fit, Observe, Refine, Sample
-from pipeline.base.images import read_exr, write_exr, write_png
-from pipeline.base.runtime import set_threads
-from pipeline.geometry.cameras import Rig, View, save_cameras
+from pipeline.base.config import Refine, Sample
+from pipeline.base.images import read_exr
 from pipeline.posterior.dpi.as_published import dpi_paper, rho
-from pipeline.posterior.fit import fit
-from pipeline.posterior.problem import Problem
 from pipeline.posterior.refine import refine, solve_base_color
 from pipeline.posterior.textures import gather, splat
 from pipeline.prior.load import load_prior
-from pipeline.prior.training.procedural import outdoor
-from pipeline.prior.value_code import scale_of
 from pipeline.render.metrics import psnr, render_view
-from pipeline.render.observe import Observations, make_observations
-from pipeline.render.renderer import Explanation, Renderer
-from tests.conftest import look_at
-
-# an overcast one: with two paths per pixel, one that meets a sun would be all of a step's loss
-SKY = 9
-
-
-@pytest.fixture(scope="module")
-def toy(ball, tmp_path_factory):
-    """Photos of the ball with a two-coloured texture under a procedural sky: (folder, truth)."""
-    folder = tmp_path_factory.mktemp("toy")
-    light = outdoor(np.random.default_rng(SKY), 32, 64).astype(np.float32)
-    color = np.full((32, 32, 3), 0.5, np.float32)
-    color[:, ::4] = [0.6, 0.15, 0.1]
-    truth = Explanation(
-        light / scale_of(light) * 0.5,
-        color,
-        np.full((32, 32), 0.4, np.float32),
-        np.zeros((32, 32), np.float32),
-    )
-
-    renderer = Renderer(ball / "mesh_uv.ply", 32, 32, 3)
-    views = []
-    for k in range(9):
-        angle = 2 * np.pi * k / 9
-        height = 0.35 if k % 2 else -0.1
-        eye = 2.5 * np.array([np.sin(angle) * 0.9, height, np.cos(angle) * 0.9])
-        view = View(f"v{k}", f"images/v{k}.exr", 40, 40, 70, 70, 20, 20, look_at(eye))
-        picture = render_view(renderer, truth, view, 64)
-        write_exr(folder / view.image, picture)
-        write_png(folder / "masks" / f"v{k}.png", (picture.max(-1) > 0) * np.uint8(255))
-        views.append(view)
-
-    save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.6, "transforms.json"))
-    make_observations(folder, folder, ball / "mesh_uv.ply", folder, Observe(pixels=4000))
-    return folder, truth
-
-
-@pytest.fixture(scope="module")
-def problem(toy, ball):
-    return Problem(
-        Observations(toy[0], toy[0] / "cameras.json"),
-        Renderer(ball / "mesh_uv.ply", 32, 32, 3),
-        0.1,
-    )
-
-
-@pytest.fixture(scope="module")
-def start(problem):
-    return fit(problem, Fit(steps=40, pixels=1000, texture=32))
+from pipeline.render.renderer import Explanation
 
 
 def test_observations_are_pixels_of_the_photos(toy, problem):
@@ -95,18 +38,16 @@ def test_fit_explains_the_photos(start):
     assert facts["loss_end"] < 0.4 * facts["loss_start"]
 
 
-def test_sample_is_the_same_alone_or_among_others(problem, start):
+def test_sample_is_the_same_alone_or_among_others(problem, start, one_thread):
     """Bit for bit (one thread); nothing of an earlier sample may leak into a later one (the
     published code's first defect).
     """
     prior = load_prior("prior_small")
     settings = Sample(steps=6, pixels=300, spp=2, texture=32)
 
-    set_threads(1)
     alone, _ = dpi_paper(problem, prior, start[0], settings, 1)
     other, _ = dpi_paper(problem, prior, start[0], settings, 0)
     again, _ = dpi_paper(problem, prior, start[0], settings, 1)
-    set_threads(2)
 
     for name in ("light", "base_color", "roughness", "metallic"):
         assert (getattr(alone, name) == getattr(again, name)).all(), name

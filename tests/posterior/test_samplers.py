@@ -9,40 +9,34 @@ import pytest
 import torch
 
 from pipeline.base.config import Sample
-from pipeline.base.runtime import set_threads
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.posterior.split_gibbs.likelihood import RowLikelihood
 from pipeline.posterior.split_gibbs.sampler import begun, gaussian_sweeps
 from pipeline.posterior.split_gibbs.setup import set_up
 from pipeline.posterior.split_gibbs.state import Randomness
 from pipeline.prior.load import load_prior
-from tests.posterior.test_fit_and_refine import problem, start, toy  # noqa: F401  (fixtures)
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 SMALL = Sample(
     steps=8,
     pixels=400,
     spp=2,
     texture=32,
     learning_rate=0.05,
-    levels=4,
+    smooth=1,
+    levels=2,
     stay=1,
-    points=150,
-    views=4,
-    region_steps=20,
-    search_points=25,
+    points=40,
+    views=3,
+    light=8,
+    region_steps=5,
+    search_prior="gaussian_tiny",
+    search_points=10,
     search_sweeps=1,
 )
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    """As the sample stage: sums in a fixed order."""
-    set_threads(1)
-    yield
-    set_threads(2)
-
-
-def error(problem, x) -> float:  # noqa: F811
+def error(problem, x) -> float:
     """Median relative error over the observed pixels."""
     index = np.arange(0, len(problem.observations), 4)
     problem.renderer.set(x)
@@ -61,7 +55,7 @@ def fingerprint(state) -> list:
     return [np.asarray(value).tobytes() if value is not None else b"" for value in flat]
 
 
-def test_kernels_change_no_state_they_are_given(problem, start):  # noqa: F811
+def test_kernels_change_no_state_they_are_given(problem, start):
     """Going back to a state is using it again: the same random numbers give the same next state
     and the first state is as it was, with what the photos predict from it.
     """
@@ -86,7 +80,7 @@ def test_kernels_change_no_state_they_are_given(problem, start):  # noqa: F811
     assert RowLikelihood.of(model.mixer, ends[0]).value(light) != value
 
 
-def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):  # noqa: F811
+def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):
     """A state and its random numbers, written to disk and read again in the middle of a chain."""
     with torch.no_grad():
         rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)
@@ -101,8 +95,9 @@ def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):  #
         assert fingerprint(gaussian_sweeps(resumed, other, saved, 1)) == fingerprint(straight)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(SAMPLERS))
-def test_sampler_explains_the_photos_from_its_seed(problem, start, name):  # noqa: F811
+def test_sampler_explains_the_photos_from_its_seed(problem, start, name):
     """A draw in between must not matter, another seed must, and the median pixel is right to 15 %
     where steps suffice.
     """

@@ -1,19 +1,31 @@
 """Moves of the materials: without photos they draw the prior."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
+from scipy import stats
 
 from pipeline.posterior.split_gibbs.likelihood import point_materials
 from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC
-from pipeline.posterior.split_gibbs.material_moves import draw_offsets, draw_regions
+from pipeline.posterior.split_gibbs.material_moves import (
+    accepted,
+    draw_offsets,
+    draw_regions,
+    propose_all,
+    propose_spread,
+)
 from pipeline.posterior.split_gibbs.material_prior import (
     CHROMA,
     COMMON,
     DIELECTRIC,
     METAL,
     METALLIC_PRIOR,
+    SPREAD_PRIOR,
     TAIL,
+    log_color_prior,
+    log_prior,
 )
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 
@@ -30,50 +42,144 @@ SILENT = SimpleNamespace(
 )
 
 
-def from_the_prior(rng) -> RegionMaterials:
-    """Two regions, directly: Student's t as a normal over a chi, impossible colours and rough
-    metals thrown away.
+def from_the_prior(count: int, rng) -> list[RegionMaterials]:
+    """Draws of two regions, directly: Student's t as a normal over a chi, impossible colours and
+    rough metals thrown away.
     """
     root = np.linalg.cholesky((1 - COMMON) * np.eye(2) + COMMON)
-    student = lambda k: root @ rng.normal(size=(2, k)) * np.sqrt(TAIL / rng.chisquare(TAIL))
     across = np.linalg.svd(np.ones((1, 3)))[2][1:]
+    tried = 4 * count
+    chi = np.sqrt(TAIL / rng.chisquare(TAIL, (2, tried, 1, 1)))
+    student = lambda k: root @ rng.normal(size=(tried, 2, k)) * chi[k - 1]
+
+    roughness = rng.integers(8, size=(tried, 2))
     odds = np.exp(METALLIC_PRIOR)
-    while True:
-        roughness = rng.integers(8, size=2)
-        m = rng.choice(METALLIC, 2, p=odds / odds.sum())
-        centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
-        bright = (centre + width * student(1)[:, 0])[:, None]
-        color = np.exp(bright + CHROMA * student(2) @ across)
-        if color.max() < 0.98 and (m <= MOST_METALLIC[roughness]).all():
-            return RegionMaterials(color, np.full(2, 0.3), roughness, m)
+    m = rng.choice(METALLIC, (tried, 2), p=odds / odds.sum())
+    centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
+    bright = centre + width * student(1)[..., 0]
+    color = np.exp(bright[..., None] + CHROMA * student(2) @ across)
+
+    possible = (color.max((1, 2)) < 0.98) & (m <= MOST_METALLIC[roughness]).all(1)
+    kept = np.flatnonzero(possible)[:count]
+    assert len(kept) == count
+    return [RegionMaterials(color[k], np.full(2, 0.3), roughness[k], m[k]) for k in kept]
 
 
-def figures(draws: list[RegionMaterials]) -> np.ndarray:
-    """Quartiles of one region's log brightness, share of metals, mean roughness step over 8, share
-    of times that both regions are on one side of its median, tint.
+def figures(draws: list[RegionMaterials], edges: np.ndarray) -> np.ndarray:
+    """Shares of one region's log brightness below `edges` (3,), share of metals, mean roughness
+    step over 8, share of times that both regions are on one side of the middle edge, tint.
     """
     log_color = np.log([t.color for t in draws])
     bright, metal = log_color.mean(2), np.array([t.metallic[0] > 0.5 for t in draws])
-    middle = np.median(bright)
-    tint = np.median(np.abs(log_color[:, 0] - bright[:, :1]))
-    roughness = np.mean([t.roughness[0] for t in draws]) / 8
-    together = ((bright > middle).sum(1) != 1).mean()
-    quartiles = np.percentile(bright[:, 0], [25, 50, 75])
-    return np.array([*quartiles, metal.mean(), roughness, together, tint])
+    return np.array(
+        [
+            *(bright[:, :1] < edges).mean(0),
+            metal.mean(),
+            np.mean([t.roughness[0] for t in draws]) / 8,
+            ((bright > edges[1]).sum(1) != 1).mean(),
+            np.median(np.abs(log_color[:, 0] - bright[:, :1])),
+        ]
+    )
 
 
+@pytest.mark.slow
 def test_moves_leave_the_prior_as_it_is():
-    """Every chain starts with a draw of the prior, and still is one after 40 steps of wide
-    moves.
+    """Every chain starts with a draw of the prior, and still is one after 30 steps of wide moves:
+    to four deviations of each figure.
     """
     rng = np.random.default_rng(0)
-    first = [from_the_prior(rng) for _ in range(2500)]
-    seen, offsets = np.zeros((8, 4, 2, 3)), np.zeros((2, 2), int)
-    step = np.full(2, 0.5)
-    last = [draw_regions(SILENT, seen, t, offsets, 40, rng, step)[0] for t in first]
+    many, first = from_the_prior(40_000, rng), from_the_prior(1250, rng)
+    seen, offsets, step = np.zeros((8, 4, 2, 3)), np.zeros((2, 2), int), np.full(2, 0.5)
+    last = [draw_regions(SILENT, seen, t, offsets, 30, rng, step)[0] for t in first]
     moved = np.mean([np.abs(a.color - b.color).max() > 0.01 for a, b in zip(first, last)])
     assert moved > 0.9 and (step == 0.5).all()
-    np.testing.assert_allclose(figures(last), figures(first), atol=0.06)
+
+    edges = np.quantile([np.log(t.color[0]).mean() for t in many], [0.25, 0.5, 0.75])
+    exact = figures(many, edges)
+    parts = [figures(many[k : k + 1250], edges) for k in range(0, 40_000, 1250)]
+    deviation = np.std(parts, axis=0, ddof=1)
+    assert deviation.max() < 0.016
+    assert (np.abs(figures(last, edges) - exact) < 4 * deviation).all()
+
+
+def some_materials(regions: int, rng) -> RegionMaterials:
+    """Anything possible."""
+    return RegionMaterials(
+        rng.uniform(0.02, 0.95, (regions, 3)),
+        rng.uniform(0.05, 1.0, regions),
+        rng.integers(8, size=regions),
+        rng.choice(METALLIC, regions),
+    )
+
+
+def test_prior_of_the_materials_is_students_t():
+    """Ratios of densities of three regions against scipy's: brightness of all regions together, the
+    two directions of their tint together, metallic and spread each by itself.
+    """
+    rng = np.random.default_rng(0)
+    shape = (1 - COMMON) * np.eye(3) + COMMON
+    across = np.linalg.svd(np.ones((1, 3)))[2][1:]
+
+    def expected(t: RegionMaterials) -> float:
+        log_color, m = np.log(t.color), t.metallic
+        centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
+        bright = stats.multivariate_t(centre, np.outer(width, width) * shape, df=TAIL)
+        tint = stats.multivariate_t(np.zeros(6), CHROMA**2 * np.kron(shape, np.eye(2)), df=TAIL)
+        spread = stats.norm(*SPREAD_PRIOR).logpdf(np.log(t.spread)).sum()
+        metallic = sum(METALLIC_PRIOR[METALLIC.tolist().index(value)] for value in m)
+        tints = tint.logpdf((log_color @ across.T).ravel())
+        return bright.logpdf(log_color.mean(1)) + tints + spread + metallic
+
+    draws = [some_materials(3, rng) for _ in range(50)]
+    difference = [log_prior(t) - expected(t) for t in draws]
+    np.testing.assert_allclose(difference, difference[0], atol=1e-9)
+
+    color = draws[0].color.copy()
+    color[1, 2] = 0.985
+    assert log_prior(replace(draws[0], color=color)) == -np.inf
+
+
+def test_regions_are_accepted_one_after_the_other():
+    """By Metropolis's rule on the prior of all colours together, times what speaks for each."""
+    rng = np.random.default_rng(0)
+    for seed in range(50):
+        now, new, gain = some_materials(4, rng), some_materials(4, rng), rng.normal(size=4)
+        found = accepted(now, new, gain, np.random.default_rng(seed))
+        color, m = now.color.copy(), now.metallic.copy()
+        for r, threshold in enumerate(np.log(np.random.default_rng(seed).random(4))):
+            other_color, other_m = color.copy(), m.copy()
+            other_color[r], other_m[r] = new.color[r], new.metallic[r]
+            ratio = log_color_prior(other_color, other_m) - log_color_prior(color, m)
+            assert found[r] == (threshold < gain[r] + ratio)
+            if found[r]:
+                color, m = other_color, other_m
+
+
+def test_proposals_are_symmetric():
+    """From a to b as often as from b to a, of roughness and metallic; steps of log colour and of
+    spread as often up as down, whatever the place.
+    """
+    rng, n = np.random.default_rng(0), 200_000
+    start = RegionMaterials(
+        np.full((n, 3), 0.3), np.full(n, 0.3), rng.integers(8, size=n), rng.choice(METALLIC, n)
+    )
+    new = propose_all(start, 8, rng, np.full(n, 0.5))
+    at = lambda t: t.roughness * len(METALLIC) + np.searchsorted(METALLIC, t.metallic)
+    states = 8 * len(METALLIC)
+    flow = np.bincount(at(start) * states + at(new), minlength=states**2).reshape(states, states)
+    both = flow + flow.T
+    often = np.triu(both >= 20, 1)
+    assert often.sum() > 300
+    z = (flow - flow.T)[often] / np.sqrt(both[often])
+    assert abs((z**2).mean() - 1) < 5 * np.sqrt(2 / often.sum()) and np.abs(z).max() < 4.5
+
+    steps = np.log(new.color / start.color)
+    assert steps.std() > 0.2
+    for column in (*steps.T, steps.sum(1)):
+        assert stats.kstest(column[::2], -column[1::2]).pvalue > 1e-3
+    moved = propose_spread(start, 8, rng, np.full(n, 0.5))
+    spread = np.log(moved.spread / start.spread)
+    assert spread.std() > 0.2 and stats.kstest(spread[::2], -spread[1::2]).pvalue > 1e-3
 
 
 class Two:

@@ -3,8 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
+import pytest
+from scipy import integrate, stats
 
+from pipeline.posterior.problem import SHADE
 from pipeline.posterior.split_gibbs.noise import (
     NU,
     channel_effect,
@@ -20,9 +22,9 @@ from pipeline.render.rows import Rows
 class Residuals(RowModel):
     """Rows of which only the squared relative residuals (n, 3) are given."""
 
-    def __init__(self, relative, explained, clipped, scale=1.0):
+    def __init__(self, relative, explained, clipped, scale=1.0, effect=1.0):
         data = type("Data", (), {"clipped": clipped})
-        super().__init__(data, Noise(scale, np.ones(len(relative))))
+        super().__init__(data, Noise(scale, np.ones(len(relative)), effect))
         object.__setattr__(self, "found", (np.where(explained, 0, relative), explained))
 
     def misfit(self, U, W, colors):
@@ -49,23 +51,85 @@ def test_noise_density_is_students_t():
     assert density(0.01, none, first) < density(0.01, none | first[:, None], first)
 
 
-def test_drawn_colours_and_noise_recover_the_truth(rows, light):
-    """Rows made from known colours and noise: colours within error bars."""
-    rng = np.random.default_rng(0)
-    U, W = rows.predict(light)
-    materials, data = rows.materials, rows.data
-    of_point = materials.spread[data.region, None]
-    truth = materials.color[data.region] * (1 + of_point * rng.normal(size=(40, 3)))
-    truth = np.clip(truth, 0.02, 0.95)
-    clean = truth[data.rows.point] * U + W
-    observed = clean / (1 - 0.05 * np.clip(rng.normal(size=clean.shape), -3, 3))
+def uniform_p(values: np.ndarray) -> float:
+    """p-value of Kolmogorov and Smirnov's test that values are uniform on [0, 1]."""
+    return float(stats.kstest(np.ravel(values), "uniform").pvalue)
 
-    model = RowModel(replace(data, observed=observed), Noise(0.3, np.ones(len(clean))))
-    for _ in range(30):
-        colors = model.draw_colors(U, W, materials, rng)
-        model = RowModel(model.data, draw_noise(model, U, W, colors, rng))
-    assert np.median(np.abs(colors / truth - 1)) < 0.1
-    assert 0.02 < model.noise.scale < 0.055  # t residuals with clipped normal noise
+
+def test_colours_are_drawn_from_their_conditional(rows, light):
+    """Every point's colour through the cumulated density of N(a; mu, v) N(y; a U + W, D kappa) on
+    [0, ceiling], summed over a grid: uniform over all points and draws.
+    """
+    rng, (U, W) = np.random.default_rng(0), rows.predict(light)
+    data, noise, materials = rows.data, rows.noise, rows.materials
+    draws = np.stack([rows.model.draw_colors(U, W, materials, rng) for _ in range(100)])
+    assert draws.min() >= 0 and (draws <= data.ceiling).all()
+    uniform = np.empty_like(draws)
+    for p, c in np.ndindex(draws.shape[1:]):
+        k, r = data.rows.point == p, data.region[p]
+        a = np.linspace(0, data.ceiling[p, c], 4001)
+        mu, observed = materials.color[r, c], data.observed[k, c]
+        error = (noise.scale * (observed + SHADE)) ** 2 / noise.weight[k]
+        D = noise.design_effect * error
+        e = observed - a[:, None] * U[k, c] - W[k, c]
+        log = -0.5 * ((e**2 / D).sum(1) + ((a - mu) / (materials.spread[r] * mu)) ** 2)
+        below = integrate.cumulative_trapezoid(np.exp(log - log.max()), a, initial=0)
+        uniform[:, p, c] = np.interp(draws[:, p, c], a, below / below[-1])
+    assert uniform_p(uniform) > 0.01
+
+
+@pytest.mark.parametrize("kappa", [1.0, 2.5])
+def test_noise_is_drawn_from_its_conditionals(kappa):
+    """lambda_i ~ Gamma((NU + channels that count) / 2, (NU + sum of their squares / eta^2) / 2),
+    then eta^2 of the rows that are not saturated ~ inverse gamma, its prior's shape 1 and scale
+    1e-4: both through their distribution functions, uniform over 4000 draws.
+    """
+    rng, eta = np.random.default_rng(0), 0.02
+    relative = eta**2 * rng.chisquare(1, size=(5, 3))
+    clipped = np.arange(5) >= 3
+    free = clipped[:, None] & np.array([False, True, True])  # explained in two channels
+    free[4] = True
+    model = Residuals(relative, free, clipped, eta, kappa)
+    draws = [draw_noise(model, None, None, None, rng) for _ in range(4000)]
+    assert all(drawn.design_effect == kappa for drawn in draws) and model.noise.scale == eta
+    etas = np.array([drawn.scale for drawn in draws])
+    weights = np.array([drawn.weight for drawn in draws])
+
+    counted = np.where(free, 0, relative)
+    shape, rate = (NU + (~free).sum(1)) / 2, (NU + counted.sum(1) / eta**2) / 2
+    uniform = stats.gamma.cdf(weights, shape, scale=1 / rate)
+    assert min(uniform_p(row) for row in uniform.T) > 0.01 / 5
+
+    square = (weights[:, :3] * relative[:3].sum(1)).sum(1) / kappa
+    law = stats.invgamma(9 / (2 * kappa) + 1, scale=square / 2 + 1e-4)
+    assert uniform_p(law.cdf(etas**2)) > 0.01
+
+
+def test_drawn_colours_and_noise_recover_the_truth(rows, light):
+    """Rows made from known colours and Student's t noise: the truth lies among the draws of colours
+    and noise in turn, as far from their mean as they spread.
+    """
+    rng, (U, W) = np.random.default_rng(0), rows.predict(light)
+    data, materials = rows.data, rows.materials
+    spread = materials.spread[data.region, None]
+    truth = materials.color[data.region] * (1 + spread * rng.normal(size=(40, 3)))
+    truth = np.clip(truth, 0.02, 0.9 * data.ceiling)
+    clean = truth[data.rows.point] * U + W
+    weight = rng.gamma(NU / 2, 2 / NU, size=(len(clean), 1))
+    error = 0.05 * rng.normal(size=clean.shape) / np.sqrt(weight)
+    observed = (clean + SHADE * error) / (1 - error)
+
+    noise, made = Noise(0.3, np.ones(len(clean))), replace(data, observed=observed)
+    colors, etas = [], []
+    for _ in range(120):
+        model = RowModel(made, noise)
+        colors.append(model.draw_colors(U, W, materials, rng))
+        noise = draw_noise(model, U, W, colors[-1], rng)
+        etas.append(noise.scale)
+    colors, etas = np.array(colors[20:]), np.array(etas[20:])
+    assert 0.85 < ((truth - colors.mean(0)) / colors.std(0)).std() < 1.15
+    assert np.median(np.abs(colors.mean(0) / truth - 1)) < 0.06
+    assert abs(etas.mean() - 0.05) < 3 * etas.std() and etas.std() < 0.1 * etas.mean()
 
 
 def test_design_effect_sees_correlation():
