@@ -1,10 +1,10 @@
 """Atlas: one UV set in [0, 1]^2 without overlaps; a valid given one is kept."""
 
 from pipeline.base.files import json_entry, report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.surface.atlas import make_atlas
 
     with stage_folder(s.out) as out:

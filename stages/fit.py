@@ -1,10 +1,10 @@
 """Fit: a point estimate of light and materials together (DPI, Eq. 15)."""
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.base.runtime import set_threads
     from pipeline.posterior.fit import fit
     from pipeline.posterior.load import load_problem

@@ -3,10 +3,10 @@ held-out score.
 """
 
 from pipeline.base.files import read_json, report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.base.runtime import set_threads
     from pipeline.posterior.load import load_problem
     from pipeline.posterior.refine import COARSE, refine

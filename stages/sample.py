@@ -1,10 +1,10 @@
 """Sample: one posterior draw of light and materials. Independent of every other sample."""
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.base.errors import InputError, nearest
     from pipeline.base.runtime import set_threads
     from pipeline.posterior.load import load_problem

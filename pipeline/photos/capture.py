@@ -10,6 +10,7 @@ import io
 import json
 import sys
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
@@ -54,7 +55,8 @@ def named_frames(scene: Path, file: Path) -> list[Path]:
         raise InputError(
             f"not a transforms file ({error!r})", file, "see NeRF-synthetic or nerfstudio's format"
         ) from error
-    out, missing = [], []
+    out: list[Path] = []
+    missing: list[Path] = []
     for stem in stems:
         found = (
             stem
@@ -148,7 +150,8 @@ def _to_rgb(image: Image.Image) -> tuple[np.ndarray, str]:
         if profile:
             source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
             target = ImageCms.createProfile("sRGB")
-            image = ImageCms.profileToProfile(image, source, target, outputMode="RGB")
+            converted = ImageCms.profileToProfile(image, source, target, outputMode="RGB")
+            image = cast(Image.Image, converted)  # None only where it works in place
             note = "CMYK by its ICC profile"
         else:
             image = image.convert("RGB")
@@ -216,11 +219,11 @@ def _deep_rgb(deep: np.ndarray) -> np.ndarray:
     return deep[..., [2, 1, 0, 3][: deep.shape[2]]]
 
 
-def _oriented(pixels: np.ndarray, tags) -> np.ndarray:
-    return np.ascontiguousarray(ORIENTED.get(tags.get(0x0112), lambda a: a)(pixels))
+def _oriented(pixels: np.ndarray, tags: Image.Exif) -> np.ndarray:
+    return np.ascontiguousarray(ORIENTED.get(tags.get(0x0112, 1), lambda a: a)(pixels))
 
 
-def _exif_facts(tags) -> dict:
+def _exif_facts(tags: Image.Exif) -> dict:
     """Exposure and focal length from EXIF; missing or zero values are left out."""
     ifd = tags.get_ifd(0x8769)
     number = lambda key: (
@@ -321,16 +324,16 @@ def normalise_exposure(photos: list[dict], mode: str) -> str:
     if mode == "none":
         return "not asked for"
 
-    known = sum(e is not None for e in exposures)
+    known = [e for e in exposures if e is not None]
     if not known:
         return "no EXIF exposure"
-    if known < len(photos):
-        return f"left alone: only {known} of {len(photos)} photos have EXIF exposure"
+    if len(known) < len(photos):
+        return f"left alone: only {len(known)} of {len(photos)} photos have EXIF exposure"
 
-    middle = float(np.median(exposures))
-    for p, exposure in zip(photos, exposures):
+    middle = float(np.median(known))
+    for p, exposure in zip(photos, known):
         p["gain"] = exposure / middle
-    spread = max(exposures) / min(exposures)
+    spread = max(known) / min(known)
     if spread < 1.001:
         return "all photos share one exposure"
     return f"divided out; exposures differ by a factor of {spread:.2f}"
@@ -357,11 +360,11 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
     few photos.
     """
     found = find_photos(scene)
+    cameras = camera_file(scene)
     unused = unused_photos(scene, found)
-    if unused:
+    if cameras and unused:
         print(
-            f"{len(unused)} photos are not named by {camera_file(scene).name} and not used, "
-            f"first {unused[0]}",
+            f"{len(unused)} photos are not named by {cameras.name} and not used, first {unused[0]}",
             file=sys.stderr,
         )
 

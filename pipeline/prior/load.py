@@ -7,14 +7,19 @@ of the clean code, differentiable), `.decode(x)` (codes -> scale-free radiance (
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from pipeline.base.errors import InputError, nearest
 from pipeline.prior.diffusion import DiffusionPrior
 from pipeline.prior.gaussian import GaussianPrior
+from pipeline.prior.protocol import Prior
 from pipeline.prior.weight_files import load_parts, part_paths
 
-PRIORS = {"diffusion": DiffusionPrior.from_tensors, "gaussian": GaussianPrior.from_tensors}
+PRIORS: dict[str, Callable[[dict, dict], Prior]] = {
+    "diffusion": DiffusionPrior.from_tensors,
+    "gaussian": GaussianPrior.from_tensors,
+}
 WEIGHTS = Path(__file__).resolve().parents[2] / "weights"
 
 
@@ -33,7 +38,7 @@ def find_prior(name: str) -> Path:
     return path
 
 
-def load_prior(name: str):
+def load_prior(name: str) -> Prior:
     """Load the prior called `name` (see `find_prior`); the file's metadata names its format."""
     path = find_prior(name)
     tensors, facts = load_parts(path)

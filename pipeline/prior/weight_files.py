@@ -18,7 +18,8 @@ PART = 15 * 2**20
 
 
 def _groups(tensors: dict[str, torch.Tensor], limit: int) -> list[dict[str, torch.Tensor]]:
-    groups, size = [{}], 0
+    groups: list[dict[str, torch.Tensor]] = [{}]
+    size = 0
     for name, value in tensors.items():
         bytes_ = value.numel() * value.element_size()
         if groups[-1] and size + bytes_ > limit:

@@ -91,7 +91,7 @@ class Painter:
         self.box = self._crop()
         self.renderers: dict = {}
 
-    def _crop(self):
+    def _crop(self) -> tuple[slice, slice]:
         """The part of the picture that holds the object, with a margin."""
         rows, columns = (
             np.where(self.mask) if self.mask.any() else np.where(np.ones_like(self.mask))

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import resource
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import yaml
@@ -50,12 +51,17 @@ class Stage:
         return {"seconds": round(time.monotonic() - self.start, 2), "peak_gib": round(peak, 3)}
 
 
-def stage(doc: str, inputs: dict[str, str], work, extra=None) -> None:
+def stage(
+    doc: str | None,
+    inputs: dict[str, str],
+    work: Callable[[Stage], None],
+    extra: Callable[[argparse.ArgumentParser], object] | None = None,
+) -> None:
     """Run `work(Stage)` as a command. `inputs` maps option names to help texts; `extra(parser)` may
     add options.
     """
 
-    def main():
+    def main() -> None:
         parser = argparse.ArgumentParser(
             description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
         )

@@ -78,7 +78,7 @@ def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
         return points, 2.5 * cell
 
     area = {n: float(m.mean()) for n, m in masks.items()}
-    worst = sorted(area, key=area.get)[:3]
+    worst = sorted(area, key=area.__getitem__)[:3]
     raise InputError(
         f"the masks have no volume in common; smallest masks: {', '.join(worst)}",
         "masks",
@@ -94,7 +94,7 @@ def build_field(
     settings: MeshSettings,
     given: bool,
     threads: int,
-):
+) -> tuple[np.ndarray, Grid, dict]:
     """Field and grid by the chosen method, and the facts behind the choice."""
     points, margin = coarse_hull(rig, masks)
     low = points.min(0) - margin
@@ -116,7 +116,7 @@ def build_field(
     tolerance = 0.04 if given else 0.08
     hull = hull_of(grid, carving, [masks[v.name] for v in carving], truncation, tolerance)
 
-    depths = []
+    depths: list[Depth] = []
     share = None
     if settings.method != "hull":
         depths, share = _stereo_of(rig, poses, masks, settings, points, margin, threads)
@@ -131,7 +131,15 @@ def build_field(
     return field, grid, {"method": method, "why": why, "stereo_share": share}
 
 
-def _stereo_of(rig: Rig, poses: Path, masks: dict, settings: MeshSettings, points, margin, threads):
+def _stereo_of(
+    rig: Rig,
+    poses: Path,
+    masks: dict,
+    settings: MeshSettings,
+    points: np.ndarray,
+    margin: float,
+    threads: int,
+) -> tuple[list[Depth], float]:
     """Depth maps of all photos at `stereo_scale`, and the share of mask pixels that have depth."""
     views = [v.scaled(settings.stereo_scale) for v in rig.views]
     images = []
@@ -150,6 +158,7 @@ def _choose(settings: MeshSettings, share: float | None) -> tuple[str, str]:
     if settings.method != "auto":
         return settings.method, "asked for"
 
+    assert share is not None  # only the hull does without stereo
     trusted = share >= settings.min_agreement
     why = (
         f"{100 * share:.0f} % of mask pixels have depth that views agree on; "

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -88,6 +89,7 @@ def define_mesh(stage: Usd.Stage, root: Usd.Prim, mesh: Mesh) -> UsdGeom.Mesh:
     st = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
         "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
     )
+    assert mesh.uv is not None  # the atlas stage gives every mesh its own
     st.Set(Vt.Vec2fArray.FromNumpy(mesh.uv.astype(np.float32)))
     return prim
 
@@ -179,7 +181,7 @@ def write_flat(path: Path, name: str, mesh: Mesh, asset: Asset, facts: dict) -> 
 
 
 @contextlib.contextmanager
-def staging(out: Path):
+def staging(out: Path) -> Iterator[Path]:
     """A folder beside `out` in which an export is built under its final names, so that it can be
     checked before it is seen.
     """
