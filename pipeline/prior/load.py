@@ -1,8 +1,6 @@
-"""Priors over natural light behind one protocol. PRIORS: format name -> loader(tensors, facts).
+"""Priors over natural light, all of the form `Prior` (prior/protocol.py).
 
-A prior has `.height`, `.width`, `.denoise(x, sigma, label)` (torch, (n, 3, h, w) codes -> estimate
-of the clean code, differentiable), `.decode(x)` (codes -> scale-free radiance (n, 3, h, w)),
-`.encode(radiance (h, w, 3))`, and `.log_spread`, the change of log radiance per unit of code.
+PRIORS: format name in the weights' metadata -> loader(tensors, facts).
 """
 
 from __future__ import annotations
