@@ -15,6 +15,7 @@ def work(s: Stage) -> None:
             s.args.observe,
             s.args.poses,
             s.args.atlas,
+            s.args.mesh,
             s.scene,
             s.scene.fit.texture,
             s.scene.render.light_height,
@@ -31,6 +32,7 @@ if __name__ == "__main__":
             "observe": "folder of the observe stage",
             "poses": "folder of the poses stage",
             "atlas": "folder of the atlas stage",
+            "mesh": "folder of the mesh stage (its surface's facts)",
         },
         work,
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import sys
 from pathlib import Path
 from typing import cast
@@ -23,6 +24,7 @@ from pipeline.base.images import read_exr, srgb_to_linear, write_exr, write_png
 from pipeline.base.progress import progress
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr")
+MASK_SUFFIXES = (".png", ".PNG", ".jpg")
 CAMERA_FILES = ("transforms.json", "transforms_train.json")
 ORIENTED = {
     2: lambda a: a[:, ::-1],
@@ -44,13 +46,33 @@ def camera_file(scene: Path) -> Path | None:
     return next((scene / name for name in CAMERA_FILES if (scene / name).exists()), None)
 
 
+def path_in_scene(scene: Path, name: str, file: Path) -> Path:
+    """The path below `scene` that `file` (a transforms file) calls `name`, relative to the scene or
+    absolute. Raises InputError for a name that leaves the scene's folder.
+
+    `..` is undone in the text, before the disk is asked, so that what is opened is what was
+    checked. Symbolic links are not resolved: those in a scene's folder, say images/ on another
+    disk, are the user's own and keep working.
+    """
+    for top in (os.path.abspath(scene), os.path.realpath(scene)):
+        full = os.path.normpath(os.path.join(top, name))
+        if full.startswith(os.path.join(top, "")):
+            return scene / os.path.relpath(full, top)
+
+    raise InputError(
+        f"the photo '{name}' lies outside the scene's folder",
+        file,
+        f"move the photo into {scene} and correct its path",
+    )
+
+
 def named_frames(scene: Path, file: Path) -> list[Path]:
     """Photos that a transforms file names (suffix may be missing). A missing photo is an
     InputError.
     """
     try:
         frames = json.loads(file.read_text(encoding="utf-8"))["frames"]
-        stems = [scene / frame["file_path"] for frame in frames]
+        stems = [path_in_scene(scene, frame["file_path"], file) for frame in frames]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"not a transforms file ({error!r})", file, "see NeRF-synthetic or nerfstudio's format"
@@ -75,15 +97,9 @@ def named_frames(scene: Path, file: Path) -> list[Path]:
 
 
 def photo_name(scene: Path, path: Path) -> str:
-    """Name of a photo; only a known image suffix is taken off, so that `frame.001.png` and
+    """Name of a photo below `scene`; only a known image suffix is taken off, so that `frame.001.png` and
     `frame.002.png` differ.
     """
-    if not path.is_relative_to(scene):
-        raise InputError(
-            "the photo lies outside the scene folder",
-            path,
-            f"move it into {scene} and correct its path",
-        )
     relative = path.relative_to(scene)
     parts = (relative.with_suffix("") if relative.suffix.lower() in SUFFIXES else relative).parts
     return "_".join(parts[1:] if parts[0] == "images" and len(parts) > 1 else parts)
@@ -250,31 +266,37 @@ def exposure_of(facts: dict) -> float | None:
     return None
 
 
+def mask_file(scene: Path, photo: Path) -> Path | None:
+    """The mask that the user gave for a photo, if there is one: masks/<stem of the photo>.png."""
+    candidates = (scene / "masks" / (photo.stem + suffix) for suffix in MASK_SUFFIXES)
+    return next((file for file in candidates if file.exists()), None)
+
+
 def _read_mask(scene: Path, path: Path, pixels: np.ndarray) -> np.ndarray | None:
     """The user's mask (h, w) in [0, 1], or the photo's alpha, or None."""
-    for suffix in (".png", ".PNG", ".jpg"):
-        file = scene / "masks" / (path.stem + suffix)
-        if file.exists():
-            try:
-                with Image.open(file) as image:
-                    mask = np.asarray(ImageOps.exif_transpose(image).convert("L"), np.float32) / 255
-            except (OSError, SyntaxError, ValueError) as error:
-                raise InputError(
-                    f"the mask cannot be read ({error})", file, "save it again as PNG"
-                ) from error
-            if mask.shape != pixels.shape[:2]:
-                raise InputError(
-                    f"the mask is {mask.shape[1]}x{mask.shape[0]}, its photo {pixels.shape[1]}x"
-                    f"{pixels.shape[0]}",
-                    file,
-                    "save the mask at the photo's size",
-                )
-            if mask.max() < 0.5:
-                raise InputError(
-                    "the mask is all black", file, "paint the object white, or delete the mask"
-                )
-            return mask
-    return pixels[..., 3] if pixels.shape[2] == 4 and pixels[..., 3].min() < 0.5 else None
+    file = mask_file(scene, path)
+    if file is None:
+        return pixels[..., 3] if pixels.shape[2] == 4 and pixels[..., 3].min() < 0.5 else None
+
+    try:
+        with Image.open(file) as image:
+            mask = np.asarray(ImageOps.exif_transpose(image).convert("L"), np.float32) / 255
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(
+            f"the mask cannot be read ({error})", file, "save it again as PNG"
+        ) from error
+    if mask.shape != pixels.shape[:2]:
+        raise InputError(
+            f"the mask is {mask.shape[1]}x{mask.shape[0]}, its photo {pixels.shape[1]}x"
+            f"{pixels.shape[0]}",
+            file,
+            "save the mask at the photo's size",
+        )
+    if mask.max() < 0.5:
+        raise InputError(
+            "the mask is all black", file, "paint the object white, or delete the mask"
+        )
+    return mask
 
 
 def _resize(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP
-from pipeline.photos.capture import photo_name
+from pipeline.photos.capture import path_in_scene, photo_name
 
 if TYPE_CHECKING:
     import pycolmap
@@ -107,7 +107,7 @@ def read_transforms(
     data = json.loads(file.read_text(encoding="utf-8"))
     out = {}
     for frame in data["frames"]:
-        name = photo_name(scene, scene / frame["file_path"])
+        name = photo_name(scene, path_in_scene(scene, frame["file_path"], file))
         matrix = np.array(frame.get("transform_matrix"), float)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise InputError(

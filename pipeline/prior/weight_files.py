@@ -13,6 +13,7 @@ from safetensors.torch import save_file
 
 from pipeline.base.errors import InputError
 from pipeline.base.files import atomic_path
+from pipeline.prior.locate import part_paths
 
 PART = 15 * 2**20
 
@@ -48,24 +49,6 @@ def save_parts(
     for old in {path, *path.parent.glob(f"{path.stem}-*-of-*.safetensors")} - set(names):
         old.unlink(missing_ok=True)
     return names
-
-
-def part_paths(path: Path) -> list[Path]:
-    """The files that `path` (NAME.safetensors) stands for: itself, or its parts; empty when there
-    are none.
-
-    Raises InputError when some parts are missing.
-    """
-    if path.exists():
-        return [path]
-    found = sorted(path.parent.glob(f"{path.stem}-*-of-*.safetensors"))
-    if found and len(found) != int(found[0].stem.rsplit("-", 1)[1]):
-        raise InputError(
-            f"only {len(found)} of {found[0].stem.rsplit('-', 1)[1]} parts are there",
-            path,
-            "fetch the missing parts",
-        )
-    return found
 
 
 def load_parts(path: Path) -> tuple[dict[str, torch.Tensor], dict]:

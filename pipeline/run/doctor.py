@@ -109,7 +109,8 @@ def memory() -> str:
 
 
 def weights() -> str:
-    from pipeline.prior.load import known_priors, load_prior
+    from pipeline.prior.load import load_prior
+    from pipeline.prior.locate import known_priors
 
     loaded = {name: load_prior(name) for name in known_priors()}
     if not loaded:

@@ -20,6 +20,7 @@ from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import hull_points
 from pipeline.surface.clean import facts, simplify, to_mesh
+from pipeline.surface.facts import SurfaceFacts
 from pipeline.surface.field import hull_of, projections, stacked, stereo_field
 from pipeline.surface.preview import Silhouette, shaded
 from pipeline.surface.stereo import Depth, stereo
@@ -171,8 +172,8 @@ def _choose(settings: MeshSettings, share: float | None) -> tuple[str, str]:
 def make_mesh(
     poses: Path, masks_folder: Path, scene: Path, out: Path, settings: MeshSettings, threads: int
 ) -> dict:
-    """Write mesh.ply and preview.png into `out`; returns metrics and facts, among them the normals'
-    error in radians, 0 for a given mesh: its wobble is meant.
+    """Write mesh.ply, surface.json (`SurfaceFacts`), preview.png and masks/ into `out`; returns
+    metrics and what was decided. The normals' error is 0 for a given mesh: its wobble is meant.
     """
     rig = load_cameras(poses / "cameras.json")
     mesh = given_mesh(scene, rig)
@@ -198,6 +199,7 @@ def make_mesh(
             "warnings": warnings_of(rig, masks),
         }
     save_mesh(out / "mesh.ply", mesh)
+    SurfaceFacts(metrics["normal_error"]).save(out)
     write_png(out / "preview.png", shaded(mesh))
     metrics["mask_share_without_surface"] = surface_masks(
         rig,
