@@ -1,18 +1,28 @@
-"""Heliograph: photos in, relightable USD out. `snakemake --cores 2 exports/garden.usda [--config preset=draft]`"""
+"""Heliograph: photos in, relightable USD out.
+
+snakemake --cores 2                                   every scene of configs/, its export and report
+snakemake --cores 2 exports/garden.usda               one scene
+snakemake --cores 2 exports/garden.usda --config preset=draft 'mesh={grid: 128}'
+
+The samples are drawn by `split_gibbs` (posterior/split_gibbs/), unless `sample: {method: ...}` says
+otherwise; the samplers of Diffusion Posterior Illumination are `dpi_paper` and `dpi_code`.
+
+Files that a stage makes are flagged `update`: Snakemake then leaves the old ones in place until the
+stage, which writes beside them, has replaced them (pipeline/base/files.py), and brings them back
+when the job fails. That such a job is due nevertheless is noted by its command
+(`stage_command` in pipeline/run/workflow.py).
+"""
+
 import sys
 from pathlib import Path
 
 from pipeline.base.errors import InputError
-from pipeline.run.workflow import Scenes, code_digest, only_one_run
+from pipeline.run.digest import code_digest
+from pipeline.run.workflow import Scenes, stage_command, unfinished_runs
 
-scenes = Scenes(config)
-SET = " ".join(f"--set {s!r}" for s in scenes.settings)
-W = "work/{scene}/"
-FOLDERS = "--observe work/{wildcards.scene}/observe --poses work/{wildcards.scene}/poses --atlas work/{wildcards.scene}/atlas "
-LIBRARY = f"OMP_NUM_THREADS={{threads}} {sys.executable!r} -m stages."
-
-if workflow.is_main_process and not workflow.dryrun:
-    LOCK = only_one_run(Path("work/.running"))
+scenes = Scenes(config, exclusive=workflow.is_main_process and not workflow.dryrun)
+WORK = "work/{wildcards.scene:q}"  # in shell commands; :q quotes the name
+EXPLANATION = ["light.exr", "base_color.exr", "roughness.exr", "metallic.exr"]
 
 
 def ask(function, *arguments):
@@ -23,9 +33,18 @@ def ask(function, *arguments):
         sys.exit(f"\nHeliograph cannot go on.\n  {error}")
 
 
+def job_of(stage, wildcards):
+    """Name of a job within its scene: the stage, and the sample's number where there is one."""
+    return f"{stage}_{wildcards.sample}" if "sample" in wildcards.keys() else stage
+
+
 def settings(stage, *sections):
-    """Parameters that decide whether `stage` is out of date: its slice of the configuration and its code."""
-    return lambda w: ask(scenes.slice, w.scene, *sections) + code_digest(stage)
+    """Decide whether `stage` is due: its slice of the configuration, its code, unfinished runs."""
+    return lambda w: (
+        ask(scenes.slice, w.scene, *sections),
+        code_digest(stage),
+        unfinished_runs(w.scene, job_of(stage, w)),
+    )
 
 
 def scene_files(kind):
@@ -33,9 +52,13 @@ def scene_files(kind):
     return lambda w: ask(getattr(scenes, kind), w.scene)
 
 
-def command(stage, options):
-    """The shell command of a stage: its log keeps everything, the terminal sees the progress."""
-    return f"{LIBRARY}{stage} --config configs/{{wildcards.scene}}.yaml {SET} --threads {{threads}} {options} 2>&1 | tee {{log}}"
+def made(folder, *names):
+    """Output files of a stage, kept until the stage replaces them."""
+    return [update(f"work/{{scene}}/{folder}/{name}") for name in names]
+
+
+def command(stage, options, job=None):
+    return stage_command(stage, job or stage, options, scenes.settings)
 
 
 def refined(w):
@@ -48,112 +71,229 @@ wildcard_constraints:
     sample=r"\d+",
 
 
+rule all:
+    input:
+        lambda w: [f"exports/{s}{end}" for s in scenes.known() for end in (".usda", "_report.html")],
+
+
 rule capture:
-    input: scene_files("photos")
-    output: W + "capture/capture.json"
-    params: settings("capture", "photos", "capture")
-    log: W + "logs/capture.log"
-    benchmark: W + "benchmarks/capture.tsv"
+    input:
+        scene_files("photos"),
+    output:
+        made("capture", "capture.json", "photos.json"),
+    log:
+        "work/{scene}/logs/capture.log",
+    benchmark:
+        "work/{scene}/benchmarks/capture.tsv"
+    params:
+        due=settings("capture", "photos", "capture"),
+        order=lambda w: ask(scenes.order, w.scene),
     shell:
-        command("capture", "--out work/{wildcards.scene}/capture")
+        command("capture", f"--out {WORK}/capture")
+
 
 rule poses:
-    input: rules.capture.output, scene_files("cameras")
-    output: W + "poses/poses.json"
-    params: settings("poses", "poses")
+    input:
+        rules.capture.output,
+        scene_files("cameras"),
+    output:
+        made("poses", "poses.json", "cameras.json", "points.npz"),
+    log:
+        "work/{scene}/logs/poses.log",
+    benchmark:
+        "work/{scene}/benchmarks/poses.tsv"
     threads: 2
-    log: W + "logs/poses.log"
-    benchmark: W + "benchmarks/poses.tsv"
+    params:
+        due=settings("poses", "poses"),
     shell:
-        command("poses", "--capture work/{wildcards.scene}/capture --out work/{wildcards.scene}/poses")
+        command("poses", f"--capture {WORK}/capture --out {WORK}/poses")
+
 
 rule masks:
-    input: rules.poses.output
-    output: W + "masks/masks.json"
-    params: settings("masks", "masks")
+    input:
+        rules.poses.output,
+        scene_files("network"),
+    output:
+        made("masks", "masks.json", "confidence.json", "overlay.jpg"),
+    log:
+        "work/{scene}/logs/masks.log",
+    benchmark:
+        "work/{scene}/benchmarks/masks.tsv"
     threads: 2
-    log: W + "logs/masks.log"
-    benchmark: W + "benchmarks/masks.tsv"
+    params:
+        due=settings("masks", "masks"),
     shell:
-        command("masks", "--poses work/{wildcards.scene}/poses --out work/{wildcards.scene}/masks")
+        command("masks", f"--poses {WORK}/poses --out {WORK}/masks")
+
 
 rule mesh:
-    input: rules.poses.output, rules.masks.output, scene_files("mesh")
-    output: W + "mesh/mesh.json"
-    params: settings("mesh", "mesh")
+    input:
+        rules.poses.output,
+        rules.masks.output,
+        scene_files("mesh"),
+    output:
+        made("mesh", "mesh.json", "mesh.ply", "surface.json", "preview.png"),
+    log:
+        "work/{scene}/logs/mesh.log",
+    benchmark:
+        "work/{scene}/benchmarks/mesh.tsv"
     threads: 2
-    log: W + "logs/mesh.log"
-    benchmark: W + "benchmarks/mesh.tsv"
+    params:
+        due=settings("mesh", "mesh"),
     shell:
-        command("mesh", "--poses work/{wildcards.scene}/poses --masks work/{wildcards.scene}/masks --out work/{wildcards.scene}/mesh")
+        command("mesh", f"--poses {WORK}/poses --masks {WORK}/masks --out {WORK}/mesh")
+
 
 rule atlas:
-    input: rules.mesh.output
-    output: W + "atlas/atlas.json"
-    params: settings("atlas", "atlas")
-    log: W + "logs/atlas.log"
-    benchmark: W + "benchmarks/atlas.tsv"
+    input:
+        rules.mesh.output,
+    output:
+        made("atlas", "atlas.json", "mesh_uv.ply", "atlas.png"),
+    log:
+        "work/{scene}/logs/atlas.log",
+    benchmark:
+        "work/{scene}/benchmarks/atlas.tsv"
+    params:
+        due=settings("atlas", "atlas"),
     shell:
-        command("atlas", "--mesh work/{wildcards.scene}/mesh --out work/{wildcards.scene}/atlas")
+        command("atlas", f"--mesh {WORK}/mesh --out {WORK}/atlas")
+
 
 rule observe:
-    input: rules.atlas.output, rules.mesh.output, rules.poses.output
-    output: W + "observe/observe.json"
-    params: settings("observe", "observe")
-    log: W + "logs/observe.log"
-    benchmark: W + "benchmarks/observe.tsv"
+    input:
+        rules.atlas.output,
+        rules.mesh.output,
+        rules.poses.output,
+    output:
+        made("observe", "observe.json", "observations.npz"),
+    log:
+        "work/{scene}/logs/observe.log",
+    benchmark:
+        "work/{scene}/benchmarks/observe.tsv"
+    params:
+        due=settings("observe", "observe"),
     shell:
-        command("observe", "--poses work/{wildcards.scene}/poses --mesh work/{wildcards.scene}/mesh --atlas work/{wildcards.scene}/atlas "
-        "--out work/{wildcards.scene}/observe")
+        command(
+            "observe",
+            f"--poses {WORK}/poses --mesh {WORK}/mesh --atlas {WORK}/atlas --out {WORK}/observe",
+        )
 
+
+# What `load_problem` (pipeline/posterior/load.py) reads: inputs and options of fit, sample, refine.
+PROBLEM = [
+    "work/{scene}/observe/observe.json",
+    "work/{scene}/observe/observations.npz",
+    "work/{scene}/poses/cameras.json",
+    "work/{scene}/atlas/mesh_uv.ply",
+    "work/{scene}/mesh/surface.json",
+]
+PROBLEM_OPTIONS = " ".join(f"--{s} {WORK}/{s}" for s in ("observe", "poses", "atlas", "mesh"))
+
+
+# Point estimate of light and materials, Eq. 15.
 rule fit:
-    # point estimate of light and materials, Eq. 15
-    input: rules.observe.output
-    output: W + "fit/fit.json"
-    params: settings("fit", "fit", "render")
+    input:
+        PROBLEM,
+    output:
+        made("fit", "fit.json", *EXPLANATION),
+    log:
+        "work/{scene}/logs/fit.log",
+    benchmark:
+        "work/{scene}/benchmarks/fit.tsv"
     threads: 2
-    log: W + "logs/fit.log"
-    benchmark: W + "benchmarks/fit.tsv"
+    params:
+        due=settings("fit", "fit", "render"),
     shell:
-        command("fit", FOLDERS + "--out work/{wildcards.scene}/fit")
+        command("fit", f"{PROBLEM_OPTIONS} --out {WORK}/fit")
 
+
+# One posterior draw, by `split_gibbs` unless sample.method says otherwise (Eqs. 13, 16, 19 belong
+# to dpi_paper and dpi_code). One thread, so that a draw is bit-identical anywhere.
 rule sample:
-    # one posterior draw, Eqs. 13, 16, 19; one thread, so that it is bit-identical anywhere
-    input: rules.fit.output
-    output: W + "sample/{sample}/sample.json"
-    params: settings("sample", "sample", "render")
-    log: W + "logs/sample_{sample}.log"
-    benchmark: W + "benchmarks/sample_{sample}.tsv"
+    input:
+        PROBLEM,
+        rules.fit.output,
+        scene_files("priors"),
+    output:
+        made("sample/{sample}", "sample.json", *EXPLANATION),
+    log:
+        "work/{scene}/logs/sample_{sample}.log",
+    benchmark:
+        "work/{scene}/benchmarks/sample_{sample}.tsv"
+    threads: 1
+    params:
+        due=settings("sample", "sample", "render"),
     shell:
-        command("sample", FOLDERS + "--fit work/{wildcards.scene}/fit --index {wildcards.sample} --out work/{wildcards.scene}/sample/{wildcards.sample}")
+        command(
+            "sample",
+            f"{PROBLEM_OPTIONS} --fit {WORK}/fit --index {{wildcards.sample}} "
+            f"--out {WORK}/sample/{{wildcards.sample}}",
+            job="sample_{wildcards.sample}",
+        )
 
+
+# Materials at full texture size with the light held, Eq. 17.
 rule refine:
-    # materials at full texture size, Eq. 17
-    input: rules.sample.output
-    output: W + "refine/{sample}/refine.json"
-    params: settings("refine", "refine", "render", "observe", "report")
-    log: W + "logs/refine_{sample}.log"
-    benchmark: W + "benchmarks/refine_{sample}.tsv"
+    input:
+        PROBLEM,
+        rules.sample.output,
+    output:
+        made("refine/{sample}", "refine.json", *EXPLANATION),
+    log:
+        "work/{scene}/logs/refine_{sample}.log",
+    benchmark:
+        "work/{scene}/benchmarks/refine_{sample}.tsv"
+    params:
+        due=settings("refine", "refine", "render", "observe", "report"),
     shell:
-        command("refine", FOLDERS + "--mesh work/{wildcards.scene}/mesh --sample work/{wildcards.scene}/sample/{wildcards.sample} "
-                                   "--index {wildcards.sample} --out work/{wildcards.scene}/refine/{wildcards.sample}")
+        command(
+            "refine",
+            f"{PROBLEM_OPTIONS} --sample {WORK}/sample/{{wildcards.sample}} "
+            f"--index {{wildcards.sample}} --out {WORK}/refine/{{wildcards.sample}}",
+            job="refine_{wildcards.sample}",
+        )
+
 
 rule export:
-    input: refined
-    output: "exports/{scene}.usda"
-    params: settings("export", "samples", "preset", "sample"), folders=lambda w, input: [str(Path(i).parent) for i in input]
-    log: W + "logs/export.log"
-    benchmark: W + "benchmarks/export.tsv"
+    input:
+        "work/{scene}/atlas/mesh_uv.ply",
+        "work/{scene}/poses/poses.json",
+        samples=refined,
+    output:
+        update("exports/{scene}.usda"),
+        update("exports/{scene}/sample_0.usda"),
+        update("work/{scene}/export.json"),
+    log:
+        "work/{scene}/logs/export.log",
+    benchmark:
+        "work/{scene}/benchmarks/export.tsv"
+    params:
+        due=settings("export", "samples", "preset", "sample"),
+        folders=lambda w, input: [str(Path(i).parent) for i in input.samples],
     shell:
-        command("export", "--atlas work/{wildcards.scene}/atlas --poses work/{wildcards.scene}/poses --samples {params.folders} "
-                         "--metrics work/{wildcards.scene}/export.json --out exports/{wildcards.scene}.usda")
+        command(
+            "export",
+            f"--atlas {WORK}/atlas --poses {WORK}/poses --samples {{params.folders:q}} "
+            f"--metrics {WORK}/export.json --out exports/{{wildcards.scene:q}}.usda",
+        )
+
 
 rule report:
-    input: rules.export.output
-    output: "exports/{scene}_report.html"
-    params: settings("report", "samples", "preset", "report", "render")
+    input:
+        rules.export.output,
+    output:
+        update("exports/{scene}_report.html"),
+        update("work/{scene}/report.json"),
+    log:
+        "work/{scene}/logs/report.log",
+    benchmark:
+        "work/{scene}/benchmarks/report.tsv"
     threads: 2
-    log: W + "logs/report.log"
-    benchmark: W + "benchmarks/report.tsv"
+    params:
+        due=settings("report", "samples", "preset", "report", "render"),
     shell:
-        command("report", "--work work/{wildcards.scene} --usd exports/{wildcards.scene}.usda --out exports/{wildcards.scene}_report.html")
+        command(
+            "report",
+            f"--work {WORK} --usd exports/{{wildcards.scene:q}}.usda "
+            "--out exports/{wildcards.scene:q}_report.html",
+        )

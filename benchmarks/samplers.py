@@ -171,7 +171,13 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
     """One method on one scene."""
     prior, rows, drawn_lights, quantities, pictures = load_prior(scene.sample.prior), [], [], [], []
     load = lambda texture: load_problem(
-        folders["observe"], folders["poses"], folders["atlas"], scene, texture, prior.height
+        folders["observe"],
+        folders["poses"],
+        folders["atlas"],
+        folders["mesh"],
+        scene,
+        texture,
+        prior.height,
     )
     settings = scene.refine.model_copy(update={"steps": 0})
     full, small = load(settings.texture), load(min(COARSE, settings.texture))

@@ -5,10 +5,10 @@ known.
 from pathlib import Path
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.photos.capture import capture
 
     with stage_folder(s.out) as out:

@@ -2,13 +2,14 @@
 USD validators.
 """
 
+import argparse
 from pathlib import Path
 
 from pipeline.base.files import read_json, report_metrics
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.usd.write import export
 
     facts = {
@@ -23,7 +24,7 @@ def work(s):
     report_metrics(s.args.metrics, metrics | s.costs())
 
 
-def more(parser):
+def more(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--samples",
         type=Path,

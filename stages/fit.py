@@ -1,10 +1,10 @@
 """Fit: a point estimate of light and materials together (DPI, Eq. 15)."""
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.base.runtime import set_threads
     from pipeline.posterior.fit import fit
     from pipeline.posterior.load import load_problem
@@ -15,6 +15,7 @@ def work(s):
             s.args.observe,
             s.args.poses,
             s.args.atlas,
+            s.args.mesh,
             s.scene,
             s.scene.fit.texture,
             s.scene.render.light_height,
@@ -31,6 +32,7 @@ if __name__ == "__main__":
             "observe": "folder of the observe stage",
             "poses": "folder of the poses stage",
             "atlas": "folder of the atlas stage",
+            "mesh": "folder of the mesh stage (its surface's facts)",
         },
         work,
     )

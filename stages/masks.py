@@ -1,10 +1,10 @@
 """Masks: which pixels show the object (given, or found without any download)."""
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.masks.make import make_masks
 
     with stage_folder(s.out) as out:

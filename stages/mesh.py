@@ -5,10 +5,10 @@ agree).
 from pathlib import Path
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.surface.make import make_mesh
 
     with stage_folder(s.out) as out:

@@ -3,10 +3,10 @@ for scoring.
 """
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.render.observe import make_observations
 
     with stage_folder(s.out) as out:

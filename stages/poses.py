@@ -5,10 +5,10 @@ undistorted photos.
 from pathlib import Path
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.photos.poses import make_poses
 
     with stage_folder(s.out) as out:

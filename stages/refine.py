@@ -3,10 +3,10 @@ held-out score.
 """
 
 from pipeline.base.files import read_json, report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.base.runtime import set_threads
     from pipeline.posterior.load import load_problem
     from pipeline.posterior.refine import COARSE, refine
@@ -14,7 +14,8 @@ def work(s):
     from pipeline.render.renderer import Explanation
 
     set_threads(s.args.threads)
-    settings, folders = s.scene.refine, (s.args.observe, s.args.poses, s.args.atlas)
+    settings = s.scene.refine
+    folders = (s.args.observe, s.args.poses, s.args.atlas, s.args.mesh)
     with stage_folder(s.out) as out:
         sample = Explanation.load(s.args.sample)
         rows = sample.light.shape[0]
@@ -40,7 +41,7 @@ if __name__ == "__main__":
         {
             "observe": "folder of the observe stage",
             "poses": "folder of the poses stage",
-            "mesh": "folder of the mesh stage (final masks)",
+            "mesh": "folder of the mesh stage (final masks, its surface's facts)",
             "atlas": "folder of the atlas stage",
             "sample": "folder of the sample",
         },

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from pipeline.base.files import report_metrics
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.report.make import make_report
 
     metrics = make_report(s.args.work, Path(s.args.usd), s.out, s.scene)

@@ -1,10 +1,10 @@
 """Sample: one posterior draw of light and materials. Independent of every other sample."""
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import stage
+from pipeline.run.stage import Stage, stage
 
 
-def work(s):
+def work(s: Stage) -> None:
     from pipeline.base.errors import InputError, nearest
     from pipeline.base.runtime import set_threads
     from pipeline.posterior.load import load_problem
@@ -25,7 +25,13 @@ def work(s):
     )  # one thread: sums in a fixed order, so sample k is bit-identical anywhere
     with stage_folder(s.out) as out:
         problem = load_problem(
-            s.args.observe, s.args.poses, s.args.atlas, s.scene, settings.texture, prior.height
+            s.args.observe,
+            s.args.poses,
+            s.args.atlas,
+            s.args.mesh,
+            s.scene,
+            settings.texture,
+            prior.height,
         )
         drawn, facts = SAMPLERS[settings.method](
             problem, prior, Explanation.load(s.args.fit), settings, s.args.index
@@ -44,6 +50,7 @@ if __name__ == "__main__":
             "observe": "folder of the observe stage",
             "poses": "folder of the poses stage",
             "atlas": "folder of the atlas stage",
+            "mesh": "folder of the mesh stage (its surface's facts)",
             "fit": "folder of the fit stage",
         },
         work,

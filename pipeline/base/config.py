@@ -8,7 +8,7 @@ one.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -20,6 +20,9 @@ PRESET_FOLDER = Path(__file__).resolve().parents[2] / "configs" / "presets"
 
 class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+SectionType = TypeVar("SectionType", bound=Section)
 
 
 class Capture(Section):
@@ -273,7 +276,7 @@ def merge(base: dict, over: dict) -> dict:
     return out
 
 
-def _explain(error: ValidationError, path, model: type[Section]) -> InputError:
+def _explain(error: ValidationError, path: str | Path, model: Any) -> InputError:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] != "extra_forbidden":
@@ -294,7 +297,7 @@ def load_scene(path: str | Path, overrides: dict | None = None) -> Scene:
     return parse_scene(merge(read_yaml(path), overrides or {}), path)
 
 
-def parse_scene(own: dict, path) -> Scene:
+def parse_scene(own: dict, path: str | Path) -> Scene:
     """Merge a scene's mapping with its preset and validate."""
     preset = own.get("preset", "standard")
     file = PRESET_FOLDER / f"{preset}.yaml"
@@ -308,7 +311,7 @@ def parse_scene(own: dict, path) -> Scene:
     return validated(Scene, merge(read_yaml(file), own), path)
 
 
-def validated(model: type[Section], values: dict, path):
+def validated(model: type[SectionType], values: dict, path: str | Path) -> SectionType:
     """An instance of `model`. Raises InputError naming file, key and cure."""
     try:
         return model(**values)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 
@@ -26,13 +27,13 @@ class InputError(Exception):
         super().__init__("\n".join(parts))
 
 
-def nearest(name: str, known) -> str:
+def nearest(name: str, known: Iterable[str]) -> str:
     """'Did you mean ...?' for a misspelt name, or the list of what there is."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f"did you mean '{close[0]}'?" if close else "known names: " + ", ".join(sorted(known))
 
 
-def run_stage(main) -> None:
+def run_stage(main: Callable[[], None]) -> None:
     """Run a stage's `main()`; an InputError becomes a plain message and exit status 2, nothing else
     is caught.
     """

@@ -8,7 +8,9 @@ import contextlib
 import json
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +35,7 @@ def _writable_parent(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def atomic_path(path: str | Path):
+def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path with the same suffix; on success it replaces `path`, on failure it is
     removed.
 
@@ -52,7 +54,7 @@ def atomic_path(path: str | Path):
 
 
 @contextlib.contextmanager
-def stage_folder(path: str | Path):
+def stage_folder(path: str | Path) -> Iterator[Path]:
     """As `atomic_path`, for a folder: the old content stays in place until the new is complete."""
     path = Path(path)
     _writable_parent(path)
@@ -69,7 +71,7 @@ def stage_folder(path: str | Path):
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _plain(value):
+def _plain(value: object) -> object:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, np.generic):
@@ -79,7 +81,7 @@ def _plain(value):
     raise TypeError(f"not JSON: {type(value)}")
 
 
-def write_json(path: str | Path, data) -> None:
+def write_json(path: str | Path, data: object) -> None:
     """Write `data` (numpy values allowed) as UTF-8 JSON, atomically; NaN and infinity are
     refused.
     """
@@ -88,7 +90,7 @@ def write_json(path: str | Path, data) -> None:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
-def read_json(path: str | Path):
+def read_json(path: str | Path) -> Any:
     """Read JSON; a missing or broken file is an InputError naming it."""
     path = Path(path)
     try:
@@ -101,7 +103,7 @@ def read_json(path: str | Path):
         raise InputError(f"not valid JSON ({error})", path, "repair or delete the file") from error
 
 
-def json_entry(path: str | Path, key: str):
+def json_entry(path: str | Path, key: str) -> Any:
     """One entry of a stage's JSON. Raises InputError where the entry is missing because an earlier
     version, which did not write it, ran the stage.
     """

@@ -5,6 +5,7 @@ unless said otherwise.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -107,5 +108,7 @@ def read_png(path: str | Path) -> np.ndarray:
 def write_png(path: str | Path, pixels: np.ndarray) -> None:
     """Write uint8 (h, w) or (h, w, 3); the format follows the suffix (.png or .jpg)."""
     with atomic_path(path) as temporary:
-        options = {"quality": 90} if Path(path).suffix.lower() in (".jpg", ".jpeg") else {}
+        options: dict[str, Any] = (
+            {"quality": 90} if Path(path).suffix.lower() in (".jpg", ".jpeg") else {}
+        )
         Image.fromarray(np.asarray(pixels, np.uint8)).save(temporary, **options)

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterable, Iterator, Sized
+from typing import TypeVar, cast
+
+T = TypeVar("T")
 
 
 def _clock(seconds: float) -> str:
@@ -28,10 +32,10 @@ class Bar:
         self.interval = interval if interval is not None else (0.2 if self.terminal else 5.0)
         self.start = self.last = time.monotonic()
 
-    def __enter__(self):
+    def __enter__(self) -> Bar:
         return self
 
-    def __exit__(self, *exc):
+    def __exit__(self, *exc: object) -> None:
         self._write("", final=True)
 
     def step(self, note: str = "", count: int = 1) -> None:
@@ -60,9 +64,9 @@ class Bar:
         print(start_of_line + line, end=end, file=sys.stderr, flush=True)
 
 
-def progress(iterable, label: str, total: int | None = None):
+def progress(iterable: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
     """Iterate with a progress bar; `total` defaults to len(iterable)."""
-    total = len(iterable) if total is None else total
+    total = len(cast(Sized, iterable)) if total is None else total
     with Bar(label, total) as bar:
         for item in iterable:
             yield item

@@ -15,10 +15,15 @@ import importlib
 import os
 import sys
 from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
 from pipeline.base.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 VARIANT = "llvm_ad_rgb"
 
@@ -41,13 +46,13 @@ def point_at_llvm() -> Path | None:
     return path
 
 
-def _load_mitsuba():
+def _load_mitsuba() -> ModuleType:
     path = point_at_llvm()
     if path is None or not path.exists():
         raise InputError(
             "no LLVM library for Dr.Jit",
             path or Path(sys.prefix, "lib"),
-            "run 'pip install -r requirements.lock' in this environment, or point "
+            "run 'pip install --no-deps -r requirements.lock' in this environment, or point "
             "DRJIT_LIBLLVM_PATH at a libLLVM.so of version 19 or newer",
         )
     module = importlib.import_module("mitsuba")
@@ -56,7 +61,7 @@ def _load_mitsuba():
     return module
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> ModuleType:
     """`from pipeline.base.runtime import mitsuba` loads Mitsuba on first use: it takes a second."""
     if name == "mitsuba":
         globals()[name] = _load_mitsuba()
@@ -64,7 +69,7 @@ def __getattr__(name: str):
     raise AttributeError(name)
 
 
-def mitsuba_rays(origins, directions):
+def mitsuba_rays(origins: np.ndarray, directions: np.ndarray) -> Any:
     """Mitsuba rays of origins and directions (n, 3)."""
     import numpy as np
 
@@ -73,7 +78,7 @@ def mitsuba_rays(origins, directions):
     return mi.Ray3f(mi.Point3f(columns(origins)), mi.Vector3f(columns(directions)))
 
 
-def import_open3d():
+def import_open3d() -> ModuleType:
     """Open3D with its libusb dependency met. Raises InputError in plain words when it cannot be
     loaded.
     """
@@ -96,7 +101,7 @@ def import_open3d():
         raise InputError(
             f"Open3D cannot be imported ({error})",
             "open3d",
-            "pip install -r requirements.lock in this environment",
+            "pip install --no-deps -r requirements.lock in this environment",
         ) from error
 
 

@@ -29,8 +29,8 @@ class Grid:
     def over(cls, low: np.ndarray, high: np.ndarray, longest: int) -> Grid:
         """The box from `low` to `high` (3,) with `longest` cells along its longest side."""
         cell = float((high - low).max() / longest)
-        shape = tuple(int(np.ceil(side / cell - 1e-9)) for side in high - low)
-        return cls(np.asarray(low, float), cell, shape)
+        nx, ny, nz = (int(np.ceil(side / cell - 1e-9)) for side in high - low)
+        return cls(np.asarray(low, float), cell, (nx, ny, nz))
 
     def centers(self) -> np.ndarray:
         """(n, 3) cell centres in C order."""
@@ -56,7 +56,8 @@ def sample(
     maps[0, : len(points)] = np.where(inside, x, OUTSIDE)
     maps[1, : len(points)] = np.where(inside, y, OUTSIDE)
     mode = cv2.INTER_LINEAR if interpolate else cv2.INTER_NEAREST
-    values = cv2.remap(image, *maps.reshape(2, rows, ROW), mode, borderMode=cv2.BORDER_REPLICATE)
+    column, row = maps.reshape(2, rows, ROW)
+    values = cv2.remap(image, column, row, mode, borderMode=cv2.BORDER_REPLICATE)
 
     values = values.reshape(rows * ROW, *image.shape[2:])
     return values[: len(points)], inside

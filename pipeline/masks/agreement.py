@@ -4,6 +4,8 @@ object away.
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 import cv2
 import numpy as np
 
@@ -11,7 +13,9 @@ from pipeline.geometry.cameras import Rig
 from pipeline.geometry.voxels import Grid, sample, silhouette
 
 
-def vote(rig: Rig, masks: dict, grid: Grid, names=None) -> tuple[np.ndarray, np.ndarray]:
+def vote(
+    rig: Rig, masks: dict, grid: Grid, names: Container[str] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Per cell (n,): in how many views it lies inside the mask, and in how many it is in the
     frame. `names`: the views that count; None: all.
     """

@@ -109,7 +109,7 @@ def texture_coordinates(points: np.ndarray, rig: Rig) -> np.ndarray:
     return (at + 1) / 2 * (TEXTURE - 1)
 
 
-def pixel_ground(view: View, rig: Rig, height: float, size) -> np.ndarray:
+def pixel_ground(view: View, rig: Rig, height: float, size: tuple[int, int]) -> np.ndarray:
     """Texture coordinates (h, w, 2) of where each pixel's ray meets the ground; NaN where it does
     not.
     """
@@ -121,7 +121,7 @@ def pixel_ground(view: View, rig: Rig, height: float, size) -> np.ndarray:
     return np.where(within, at, np.nan).astype(np.float32)
 
 
-def sphere_region(view: View, rig: Rig, size) -> np.ndarray:
+def sphere_region(view: View, rig: Rig, size: tuple[int, int]) -> np.ndarray:
     """Pixels (h, w) whose ray passes within 1.1 radii of the object's centre."""
     o, d = pixel_rays(view, size)
     to_center = rig.center - o
@@ -163,7 +163,13 @@ def _difference(lab: np.ndarray, ground: np.ndarray) -> np.ndarray:
 
 
 def object_odds(
-    view: View, rig: Rig, lab: np.ndarray, ground, spread, height: float, below=None
+    view: View,
+    rig: Rig,
+    lab: np.ndarray,
+    ground: np.ndarray,
+    spread: np.ndarray,
+    height: float,
+    below: np.ndarray | None = None,
 ) -> np.ndarray:
     """Log-odds (h, w) in [-3, 3] that a pixel shows the object, from its difference to the bare
     ground.
@@ -196,7 +202,9 @@ def object_odds(
     return np.where(inside, odds, -3).astype(np.float32)
 
 
-def soft_hull(rig: Rig, odds: dict[str, np.ndarray], height: float, longest: int = 80):
+def soft_hull(
+    rig: Rig, odds: dict[str, np.ndarray], height: float, longest: int = 80
+) -> tuple[np.ndarray, float]:
     """Centres (n, 3) of the cells whose mean log-odds over views is positive and that few views
     speak against, in connected sets not much smaller than the largest; and the cell size.
 
@@ -263,7 +271,9 @@ def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.n
     background = np.zeros((1, 65))  # GrabCut's colour models
     foreground = np.zeros((1, 65))
     cv2.setRNGSeed(0)
-    cv2.grabCut(picture, cut_state, None, background, foreground, 3, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(  # type: ignore[call-overload]  # OpenCV's stubs do not know that it may go without a rectangle
+        picture, cut_state, None, background, foreground, 3, cv2.GC_INIT_WITH_MASK
+    )
 
     out = np.zeros(hull.shape, bool)
     out[box] = (cut_state == cv2.GC_FGD) | (cut_state == cv2.GC_PR_FGD)
@@ -352,7 +362,16 @@ def _odds_of_all(rig: Rig, labs: dict[str, np.ndarray], height: float) -> dict[s
     }
 
 
-def _cut_all(rig: Rig, pictures, odds, points, cell: float, band: float, threads: int, note: str):
+def _cut_all(
+    rig: Rig,
+    pictures: dict[str, np.ndarray],
+    odds: dict[str, np.ndarray],
+    points: np.ndarray,
+    cell: float,
+    band: float,
+    threads: int,
+    note: str,
+) -> dict[str, np.ndarray]:
     """GrabCut of every photo within `band` (fraction of the object's size) of the silhouette of the
     cells `points`; photo name -> mask (h, w) bool.
     """

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import sys
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
@@ -22,6 +24,7 @@ from pipeline.base.images import read_exr, srgb_to_linear, write_exr, write_png
 from pipeline.base.progress import progress
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr")
+MASK_SUFFIXES = (".png", ".PNG", ".jpg")
 CAMERA_FILES = ("transforms.json", "transforms_train.json")
 ORIENTED = {
     2: lambda a: a[:, ::-1],
@@ -43,18 +46,39 @@ def camera_file(scene: Path) -> Path | None:
     return next((scene / name for name in CAMERA_FILES if (scene / name).exists()), None)
 
 
+def path_in_scene(scene: Path, name: str, file: Path) -> Path:
+    """The path below `scene` that `file` (a transforms file) calls `name`, relative to the scene or
+    absolute. Raises InputError for a name that leaves the scene's folder.
+
+    `..` is undone in the text, before the disk is asked, so that what is opened is what was
+    checked. Symbolic links are not resolved: those in a scene's folder, say images/ on another
+    disk, are the user's own and keep working.
+    """
+    for top in (os.path.abspath(scene), os.path.realpath(scene)):
+        full = os.path.normpath(os.path.join(top, name))
+        if full.startswith(os.path.join(top, "")):
+            return scene / os.path.relpath(full, top)
+
+    raise InputError(
+        f"the photo '{name}' lies outside the scene's folder",
+        file,
+        f"move the photo into {scene} and correct its path",
+    )
+
+
 def named_frames(scene: Path, file: Path) -> list[Path]:
     """Photos that a transforms file names (suffix may be missing). A missing photo is an
     InputError.
     """
     try:
         frames = json.loads(file.read_text(encoding="utf-8"))["frames"]
-        stems = [scene / frame["file_path"] for frame in frames]
+        stems = [path_in_scene(scene, frame["file_path"], file) for frame in frames]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"not a transforms file ({error!r})", file, "see NeRF-synthetic or nerfstudio's format"
         ) from error
-    out, missing = [], []
+    out: list[Path] = []
+    missing: list[Path] = []
     for stem in stems:
         found = (
             stem
@@ -73,15 +97,9 @@ def named_frames(scene: Path, file: Path) -> list[Path]:
 
 
 def photo_name(scene: Path, path: Path) -> str:
-    """Name of a photo; only a known image suffix is taken off, so that `frame.001.png` and
+    """Name of a photo below `scene`; only a known image suffix is taken off, so that `frame.001.png` and
     `frame.002.png` differ.
     """
-    if not path.is_relative_to(scene):
-        raise InputError(
-            "the photo lies outside the scene folder",
-            path,
-            f"move it into {scene} and correct its path",
-        )
     relative = path.relative_to(scene)
     parts = (relative.with_suffix("") if relative.suffix.lower() in SUFFIXES else relative).parts
     return "_".join(parts[1:] if parts[0] == "images" and len(parts) > 1 else parts)
@@ -148,7 +166,8 @@ def _to_rgb(image: Image.Image) -> tuple[np.ndarray, str]:
         if profile:
             source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
             target = ImageCms.createProfile("sRGB")
-            image = ImageCms.profileToProfile(image, source, target, outputMode="RGB")
+            converted = ImageCms.profileToProfile(image, source, target, outputMode="RGB")
+            image = cast(Image.Image, converted)  # None only where it works in place
             note = "CMYK by its ICC profile"
         else:
             image = image.convert("RGB")
@@ -216,11 +235,11 @@ def _deep_rgb(deep: np.ndarray) -> np.ndarray:
     return deep[..., [2, 1, 0, 3][: deep.shape[2]]]
 
 
-def _oriented(pixels: np.ndarray, tags) -> np.ndarray:
-    return np.ascontiguousarray(ORIENTED.get(tags.get(0x0112), lambda a: a)(pixels))
+def _oriented(pixels: np.ndarray, tags: Image.Exif) -> np.ndarray:
+    return np.ascontiguousarray(ORIENTED.get(tags.get(0x0112, 1), lambda a: a)(pixels))
 
 
-def _exif_facts(tags) -> dict:
+def _exif_facts(tags: Image.Exif) -> dict:
     """Exposure and focal length from EXIF; missing or zero values are left out."""
     ifd = tags.get_ifd(0x8769)
     number = lambda key: (
@@ -247,31 +266,37 @@ def exposure_of(facts: dict) -> float | None:
     return None
 
 
+def mask_file(scene: Path, photo: Path) -> Path | None:
+    """The mask that the user gave for a photo, if there is one: masks/<stem of the photo>.png."""
+    candidates = (scene / "masks" / (photo.stem + suffix) for suffix in MASK_SUFFIXES)
+    return next((file for file in candidates if file.exists()), None)
+
+
 def _read_mask(scene: Path, path: Path, pixels: np.ndarray) -> np.ndarray | None:
     """The user's mask (h, w) in [0, 1], or the photo's alpha, or None."""
-    for suffix in (".png", ".PNG", ".jpg"):
-        file = scene / "masks" / (path.stem + suffix)
-        if file.exists():
-            try:
-                with Image.open(file) as image:
-                    mask = np.asarray(ImageOps.exif_transpose(image).convert("L"), np.float32) / 255
-            except (OSError, SyntaxError, ValueError) as error:
-                raise InputError(
-                    f"the mask cannot be read ({error})", file, "save it again as PNG"
-                ) from error
-            if mask.shape != pixels.shape[:2]:
-                raise InputError(
-                    f"the mask is {mask.shape[1]}x{mask.shape[0]}, its photo {pixels.shape[1]}x"
-                    f"{pixels.shape[0]}",
-                    file,
-                    "save the mask at the photo's size",
-                )
-            if mask.max() < 0.5:
-                raise InputError(
-                    "the mask is all black", file, "paint the object white, or delete the mask"
-                )
-            return mask
-    return pixels[..., 3] if pixels.shape[2] == 4 and pixels[..., 3].min() < 0.5 else None
+    file = mask_file(scene, path)
+    if file is None:
+        return pixels[..., 3] if pixels.shape[2] == 4 and pixels[..., 3].min() < 0.5 else None
+
+    try:
+        with Image.open(file) as image:
+            mask = np.asarray(ImageOps.exif_transpose(image).convert("L"), np.float32) / 255
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(
+            f"the mask cannot be read ({error})", file, "save it again as PNG"
+        ) from error
+    if mask.shape != pixels.shape[:2]:
+        raise InputError(
+            f"the mask is {mask.shape[1]}x{mask.shape[0]}, its photo {pixels.shape[1]}x"
+            f"{pixels.shape[0]}",
+            file,
+            "save the mask at the photo's size",
+        )
+    if mask.max() < 0.5:
+        raise InputError(
+            "the mask is all black", file, "paint the object white, or delete the mask"
+        )
+    return mask
 
 
 def _resize(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -321,16 +346,16 @@ def normalise_exposure(photos: list[dict], mode: str) -> str:
     if mode == "none":
         return "not asked for"
 
-    known = sum(e is not None for e in exposures)
+    known = [e for e in exposures if e is not None]
     if not known:
         return "no EXIF exposure"
-    if known < len(photos):
-        return f"left alone: only {known} of {len(photos)} photos have EXIF exposure"
+    if len(known) < len(photos):
+        return f"left alone: only {len(known)} of {len(photos)} photos have EXIF exposure"
 
-    middle = float(np.median(exposures))
-    for p, exposure in zip(photos, exposures):
+    middle = float(np.median(known))
+    for p, exposure in zip(photos, known):
         p["gain"] = exposure / middle
-    spread = max(exposures) / min(exposures)
+    spread = max(known) / min(known)
     if spread < 1.001:
         return "all photos share one exposure"
     return f"divided out; exposures differ by a factor of {spread:.2f}"
@@ -357,11 +382,11 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
     few photos.
     """
     found = find_photos(scene)
+    cameras = camera_file(scene)
     unused = unused_photos(scene, found)
-    if unused:
+    if cameras and unused:
         print(
-            f"{len(unused)} photos are not named by {camera_file(scene).name} and not used, "
-            f"first {unused[0]}",
+            f"{len(unused)} photos are not named by {cameras.name} and not used, first {unused[0]}",
             file=sys.stderr,
         )
 

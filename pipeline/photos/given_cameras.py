@@ -8,14 +8,19 @@ here.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP
-from pipeline.photos.capture import photo_name
+from pipeline.photos.capture import path_in_scene, photo_name
+
+if TYPE_CHECKING:
+    import pycolmap
 
 
 @dataclass
@@ -47,7 +52,7 @@ class Lens:
         )
 
 
-def check_shape(w: float, h: float, size: tuple[int, int], where, name: str) -> None:
+def check_shape(w: float, h: float, size: tuple[int, int], where: str | Path, name: str) -> None:
     """InputError when a camera's picture and its photo differ in shape by more than rounding
     (turned or cropped photo).
     """
@@ -61,7 +66,7 @@ def check_shape(w: float, h: float, size: tuple[int, int], where, name: str) -> 
 
 
 def _transforms_lens(data: dict, frame: dict, size: tuple[int, int], file: Path) -> Lens:
-    value = lambda key, default=None: frame.get(key, data.get(key, default))
+    value: Callable[..., Any] = lambda key, default=None: frame.get(key, data.get(key, default))
     extra = [k for k in ("k3", "k4", "k5", "k6") if value(k)]
     if extra or "FISHEYE" in str(value("camera_model", "")).upper():
         raise InputError(
@@ -73,7 +78,7 @@ def _transforms_lens(data: dict, frame: dict, size: tuple[int, int], file: Path)
 
     w = value("w", size[0])
     h = value("h", size[1])
-    check_shape(w, h, size, file, frame.get("file_path"))
+    check_shape(w, h, size, file, frame["file_path"])
 
     if value("fl_x"):
         fx = float(value("fl_x"))
@@ -102,7 +107,7 @@ def read_transforms(
     data = json.loads(file.read_text(encoding="utf-8"))
     out = {}
     for frame in data["frames"]:
-        name = photo_name(scene, scene / frame["file_path"])
+        name = photo_name(scene, path_in_scene(scene, frame["file_path"], file))
         matrix = np.array(frame.get("transform_matrix"), float)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise InputError(
@@ -125,7 +130,7 @@ PARAMETERS = {
 }
 
 
-def lens_of_colmap(camera) -> Lens:
+def lens_of_colmap(camera: pycolmap.Camera) -> Lens:
     """A pycolmap camera as Lens; InputError for models with more than OPENCV's distortion."""
     params = list(camera.params)
     name = camera.model.name
@@ -142,7 +147,9 @@ def lens_of_colmap(camera) -> Lens:
     return Lens(camera.width, camera.height, fx, fy, cx, cy, distortion)
 
 
-def poses_of_model(model, names: dict[str, str]) -> dict[str, tuple[Lens, np.ndarray]]:
+def poses_of_model(
+    model: pycolmap.Reconstruction, names: dict[str, str]
+) -> dict[str, tuple[Lens, np.ndarray]]:
     """Registered images of a pycolmap Reconstruction: photo name -> (Lens, world-to-camera).
     `names`: the model's image name -> photo name; other images are left out.
     """

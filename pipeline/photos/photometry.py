@@ -8,6 +8,7 @@ are bright enough to tell.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,9 @@ SAME = 0.25  # stops; gains that spread less are left alone: a glossy table's sh
 MIN_POINTS = 30  # matched points a photo needs for a gain of its own
 
 
-def point_brightness(views: list[View], image_of, points: dict) -> np.ndarray:
+def point_brightness(
+    views: list[View], image_of: Callable[[View], np.ndarray], points: dict
+) -> np.ndarray:
     """log2 luminance (views, points), NaN where a view was not matched to the point or its pixel is
     dark or saturated.
 

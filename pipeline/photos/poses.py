@@ -9,6 +9,7 @@ unknown). Given cameras keep their own world.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -24,6 +25,13 @@ from pipeline.photos.capture import camera_file
 from pipeline.photos.given_cameras import Lens, check_shape, poses_of_model, read_transforms
 from pipeline.photos.photometry import match_exposure
 from pipeline.photos.sfm import HINT, reconstruct, sparse_points
+
+if TYPE_CHECKING:
+    import pycolmap
+
+Plane: TypeAlias = tuple[
+    np.ndarray, float, float
+]  # unit normal n, offset: n.x = offset, inlier share
 
 
 def positions(poses: list[np.ndarray]) -> np.ndarray:
@@ -49,7 +57,7 @@ def mean_up(poses: list[np.ndarray]) -> np.ndarray:
 
 def ground_plane(
     xyz: np.ndarray, centers: np.ndarray, up: np.ndarray, middle: np.ndarray, seed: int
-):
+) -> Plane | None:
     """RANSAC over the points: (unit normal, offset, inlier share) of the plane n.x = offset, or
     None.
 
@@ -61,7 +69,9 @@ def ground_plane(
     near = xyz[np.linalg.norm(xyz - middle, axis=1) < 1.5 * distance]
     if len(near) < 50:
         return None
-    rng, best, tolerance = np.random.default_rng(seed), (0.0, None), 0.01 * distance
+    rng = np.random.default_rng(seed)
+    tolerance = 0.01 * distance
+    best: tuple[float, tuple[np.ndarray, float] | None] = (0.0, None)
     for _ in range(6000):
         a, b, c = near[rng.choice(len(near), 3, replace=False)]
         n = np.cross(b - a, c - a)
@@ -93,7 +103,13 @@ def ground_plane(
     return (n, float(offset), share) if share >= 0.12 or bare else None
 
 
-def object_points(xyz, poses, lenses, plane, masks) -> np.ndarray:
+def object_points(
+    xyz: np.ndarray,
+    poses: list[np.ndarray],
+    lenses: list[Lens],
+    plane: Plane | None,
+    masks: list[np.ndarray] | None,
+) -> np.ndarray:
     """Sparse points that belong to the object: inside the masks if there are any, else above the
     ground and near the middle of the scene.
     """
@@ -114,7 +130,9 @@ def object_points(xyz, poses, lenses, plane, masks) -> np.ndarray:
     return xyz[above & central]
 
 
-def _points_in_masks(xyz, poses, lenses, masks) -> np.ndarray:
+def _points_in_masks(
+    xyz: np.ndarray, poses: list[np.ndarray], lenses: list[Lens], masks: list[np.ndarray]
+) -> np.ndarray:
     """Points inside 90 % of the masks (uint8) of the two or more views whose frame holds them."""
     inside = np.zeros(len(xyz))
     total = np.zeros(len(xyz))
@@ -134,7 +152,7 @@ def _points_in_masks(xyz, poses, lenses, masks) -> np.ndarray:
     return xyz[(inside >= 0.9 * total) & (total >= 2)]
 
 
-def _middle_and_distance(poses) -> tuple[np.ndarray, float]:
+def _middle_and_distance(poses: list[np.ndarray]) -> tuple[np.ndarray, float]:
     """Where the optical axes meet (3,), and the cameras' median distance from there."""
     middle = axes_meeting_point(poses)
     return middle, np.median(np.linalg.norm(positions(poses) - middle, axis=1))
@@ -157,7 +175,9 @@ def main_cluster(points: np.ndarray, bandwidth: float) -> np.ndarray:
     return points[counts[label] >= counts.max() / 3]
 
 
-def object_sphere(points: np.ndarray, poses, plane) -> tuple[np.ndarray, float, str]:
+def object_sphere(
+    points: np.ndarray, poses: list[np.ndarray], plane: Plane | None
+) -> tuple[np.ndarray, float, str]:
     """Centre and radius that hold the object's sparse points, and how they were found."""
     middle, distance = _middle_and_distance(poses)
     if len(points) >= 30:
@@ -186,7 +206,7 @@ def rotation_to_y(up: np.ndarray) -> np.ndarray:
 
 
 def undistort(
-    image: np.ndarray, lens: Lens, interpolation=cv2.INTER_LINEAR
+    image: np.ndarray, lens: Lens, interpolation: int = cv2.INTER_LINEAR
 ) -> tuple[np.ndarray, Lens]:
     """Pinhole version of an image, cropped by focal length so that no border shows; (image, its
     Lens).
@@ -215,7 +235,9 @@ def similarity(
     return out
 
 
-def write_views(capture: Path, out: Path, photos: list[dict], lenses, poses) -> list[View]:
+def write_views(
+    capture: Path, out: Path, photos: list[dict], lenses: list[Lens], poses: list[np.ndarray]
+) -> list[View]:
     """Undistort photos and masks into `out`; the views in the order of `photos`."""
     (out / "images").mkdir()
     views = []
@@ -253,7 +275,9 @@ def _read_mask(capture: Path, name: str) -> np.ndarray:
     return np.asarray(Image.open(capture / "masks" / f"{name}.png"))
 
 
-def _given_model(folder: Path, photos: list[dict]):
+def _given_model(
+    folder: Path, photos: list[dict]
+) -> tuple[pycolmap.Reconstruction, dict[str, str], dict[str, tuple[Lens, np.ndarray]]]:
     """The COLMAP model in `folder`: model, its image name -> photo name, and lens and pose per
     photo name.
 
@@ -287,13 +311,15 @@ def _given_model(folder: Path, photos: list[dict]):
     return model, names, found
 
 
-def _estimated(capture: Path, photos: list[dict], scene: Path, settings: Poses, threads: int):
+def _estimated(
+    capture: Path, photos: list[dict], scene: Path, settings: Poses, threads: int
+) -> tuple[dict[str, tuple[Lens, np.ndarray]], pycolmap.Reconstruction, dict[str, str], dict]:
     """Lens and pose per photo name from COLMAP (given model or reconstruction), the model, its
     image name -> photo name, and facts.
     """
     if (scene / "sparse" / "0").is_dir():
         model, names, found = _given_model(scene / "sparse" / "0", photos)
-        facts = {"source": "colmap"}
+        facts: dict = {"source": "colmap"}
     else:
         model, names, attempts = reconstruct(capture, photos, settings, threads)
         found = poses_of_model(model, names)
@@ -303,7 +329,14 @@ def _estimated(capture: Path, photos: list[dict], scene: Path, settings: Poses, 
     return found, model, names, facts
 
 
-def upright(found, photos, model, names, capture: Path, settings: Poses):
+def upright(
+    found: dict[str, tuple[Lens, np.ndarray]],
+    photos: list[dict],
+    model: pycolmap.Reconstruction,
+    names: dict[str, str],
+    capture: Path,
+    settings: Poses,
+) -> tuple[list[dict], list[Lens], list[np.ndarray], np.ndarray, float, dict, dict]:
     """Turn, shift and scale a COLMAP world so that +Y is up and the object lies at the origin:
     photos kept, lenses, poses, centre and radius of the object's sphere, sparse points, facts.
     """
@@ -330,7 +363,7 @@ def upright(found, photos, model, names, capture: Path, settings: Poses):
     rotation, shift, scale = _to_library_frame(plane, up, center, radius, settings)
     moved = [similarity(p, rotation, shift, scale) for p in poses]
     facts = _frame_facts(plane, how, rotation, shift, scale)
-    points = {
+    cloud = {
         "xyz": scale * xyz @ rotation.T + shift,
         "rgb": rgb,
         "error": error,
@@ -338,10 +371,12 @@ def upright(found, photos, model, names, capture: Path, settings: Poses):
         "views": views,
     }
     center = scale * rotation @ center + shift
-    return kept, lenses, moved, center, 1.25 * scale * radius, points, facts
+    return kept, lenses, moved, center, 1.25 * scale * radius, cloud, facts
 
 
-def _to_library_frame(plane, up, center, radius: float, settings: Poses):
+def _to_library_frame(
+    plane: Plane | None, up: np.ndarray, center: np.ndarray, radius: float, settings: Poses
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Rotation, shift and scale of x' = scale (R x) + shift: the ground becomes y = 0, the object
     has the wanted size and stands above the origin.
     """
@@ -356,7 +391,9 @@ def _to_library_frame(plane, up, center, radius: float, settings: Poses):
     return rotation, shift, scale
 
 
-def _frame_facts(plane, how: str, rotation, shift, scale: float) -> dict:
+def _frame_facts(
+    plane: Plane | None, how: str, rotation: np.ndarray, shift: np.ndarray, scale: float
+) -> dict:
     """What cameras.json says of the change of frame, and of `how` the object was found."""
     world = np.eye(4)
     world[:3, :3] = scale * rotation
@@ -378,7 +415,9 @@ def _frame_facts(plane, how: str, rotation, shift, scale: float) -> dict:
     }
 
 
-def _given(file: Path, scene: Path, photos: list[dict]):
+def _given(
+    file: Path, scene: Path, photos: list[dict]
+) -> tuple[list[dict], list[Lens], list[np.ndarray], np.ndarray, float, dict, dict]:
     """As `upright`, for cameras from transforms files, which keep their own world."""
     sizes = {p["name"]: tuple(p["original_size"]) for p in photos}
     found = read_transforms(file, scene, sizes)

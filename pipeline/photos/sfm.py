@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
@@ -17,6 +18,9 @@ from pipeline.base.config import Poses
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, to_srgb8
 from pipeline.base.progress import progress
+
+if TYPE_CHECKING:
+    import pycolmap
 
 HINT = (
     "photograph with about 80 % overlap, all the way round, on a textured ground, "
@@ -100,7 +104,7 @@ def _match(database: Path, exhaustive: bool, thorough: bool, threads: int) -> No
     pycolmap.match_sequential(database, matching_options=options, pairing_options=pairing)
 
 
-def _mapper_options(options, settings: Poses, threads: int):
+def _mapper_options(options: Any, settings: Poses, threads: int) -> Any:
     """COLMAP's options of incremental or global mapping, filled in."""
     options.num_threads = threads
     options.random_seed = settings.seed
@@ -108,7 +112,9 @@ def _mapper_options(options, settings: Poses, threads: int):
     return options
 
 
-def _largest(models: dict):
+def _largest(
+    models: dict[int, pycolmap.Reconstruction],
+) -> tuple[pycolmap.Reconstruction | None, list[int]]:
     """The model with most registered images, or None; and those numbers of all models."""
     best = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
     return best, sorted((m.num_reg_images() for m in models.values()), reverse=True)
@@ -116,7 +122,7 @@ def _largest(models: dict):
 
 def _attempt(
     folder: Path, tag: str, count: int, settings: Poses, single: bool, thorough: bool, threads: int
-):
+) -> tuple[pycolmap.Reconstruction | None, dict]:
     """One run of extraction, matching and mapping; the model with most images, or None."""
     import pycolmap
 
@@ -144,7 +150,9 @@ def _attempt(
     }
 
 
-def _global_attempt(folder: Path, settings: Poses, threads: int):
+def _global_attempt(
+    folder: Path, settings: Poses, threads: int
+) -> tuple[pycolmap.Reconstruction | None, dict]:
     """Global mapping (GLOMAP) of the matches that the thorough attempt found."""
     import pycolmap
 
@@ -159,12 +167,14 @@ def _global_attempt(folder: Path, settings: Poses, threads: int):
     return best, {"attempt": "global", "models": registered}
 
 
-def registered_images(model) -> int:
+def registered_images(model: pycolmap.Reconstruction | None) -> int:
     """How many images a model holds; 0 for None."""
     return 0 if model is None else model.num_reg_images()
 
 
-def reconstruct(capture: Path, photos: list[dict], settings: Poses, threads: int):
+def reconstruct(
+    capture: Path, photos: list[dict], settings: Poses, threads: int
+) -> tuple[pycolmap.Reconstruction, dict[str, str], list[dict]]:
     """(pycolmap Reconstruction, file name -> photo name, attempts). InputError when too few photos
     connect.
     """
@@ -200,7 +210,7 @@ def reconstruct(capture: Path, photos: list[dict], settings: Poses, threads: int
                 flush=True,
             )
 
-    if registered < max(3, 0.5 * len(photos)):
+    if best is None or registered < max(3, 0.5 * len(photos)):
         raise InputError(
             f"only {registered} of {len(photos)} photos could be connected: "
             "too little overlap or texture",
@@ -210,7 +220,9 @@ def reconstruct(capture: Path, photos: list[dict], settings: Poses, threads: int
     return best, names, attempts
 
 
-def sparse_points(model, order: dict[int, int]):
+def sparse_points(
+    model: pycolmap.Reconstruction, order: dict[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The model's points that two or more views see: xyz (n, 3), rgb (n, 3) uint8, reprojection
     error in pixels (n,), offsets (n + 1,), views. Point k is seen by views[offsets[k] : offsets[k +
     1]]. `order`: the model's image number -> index of the view.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -48,10 +50,10 @@ class DiffusionPrior:
         return LABELS.index(label)
 
     def denoise(
-        self, x: torch.Tensor, sigma: float, label: str | list[str] | None = None
+        self, x: torch.Tensor, sigma: float, label: str | Sequence[str | None] | None = None
     ) -> torch.Tensor:
         """E[x_0 | x_0 + sigma n = x] for codes (n, 3, h, w), of one class or of one for each."""
-        labels = label if isinstance(label, list) else [label] * len(x)
+        labels = [label] * len(x) if label is None or isinstance(label, str) else label
         return self.model(
             x,
             torch.full((len(x),), float(sigma)),

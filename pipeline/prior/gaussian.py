@@ -9,9 +9,12 @@ against; its leading eigenvectors are a smooth basis for light.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import torch
 
+from pipeline.prior.protocol import Prior
 from pipeline.prior.value_code import Code
 
 OPPONENT = (
@@ -47,6 +50,7 @@ class GaussianPrior:
         self.mean = mean[None, :, :, None]
         self.values, self.vectors = torch.linalg.eigh(covariance)  # (3, k, h), (3, k, h, h)
         self.values = self.values.clamp_min(1e-8)
+        self.shares: dict[str, float] = {}  # there are no classes
 
     @classmethod
     def from_tensors(cls, tensors: dict, facts: dict) -> GaussianPrior:
@@ -67,7 +71,9 @@ class GaussianPrior:
     def encode(self, radiance: np.ndarray) -> torch.Tensor:
         return self.code.encode(radiance)
 
-    def filtered(self, x: torch.Tensor, gain) -> torch.Tensor:
+    def filtered(
+        self, x: torch.Tensor, gain: Callable[[torch.Tensor], torch.Tensor]
+    ) -> torch.Tensor:
         """Multiply codes (n, 3, h, w) by gain(eigenvalues) in the covariance's eigenbasis."""
         f = torch.fft.rfft(torch.einsum("oc,nchw->nohw", OPPONENT, x), dim=-1, norm="ortho")
         inner = torch.einsum("okhe,nohk->noke", self.vectors.to(f.dtype), f) * gain(self.values)
@@ -76,7 +82,9 @@ class GaussianPrior:
             "oc,nohw->nchw", OPPONENT, torch.fft.irfft(back, n=x.shape[-1], dim=-1, norm="ortho")
         )
 
-    def denoise(self, x: torch.Tensor, sigma: float, label: str | None = None) -> torch.Tensor:
+    def denoise(
+        self, x: torch.Tensor, sigma: float, label: str | Sequence[str | None] | None = None
+    ) -> torch.Tensor:
         """E[x_0 | x_0 + sigma n = x] for codes (n, 3, h, w); there are no classes, `label` is not
         looked at.
         """
@@ -113,7 +121,7 @@ class GaussianPrior:
         return B, torch.tensor([item[0] for item in found[:count]])
 
 
-def translated(code: torch.Tensor, gaussian: GaussianPrior, prior) -> torch.Tensor:
+def translated(code: torch.Tensor, gaussian: GaussianPrior, prior: Prior) -> torch.Tensor:
     """Codes (n, 3, h, w) of the Gaussian prior as codes (n, 3, f h, f w) of `prior`: the same
     radiance, every pixel f x f times.
     """

@@ -9,6 +9,8 @@ live at low resolution, attention at the lowest.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -25,7 +27,7 @@ class Conv(nn.Conv2d):
     def __init__(self, a: int, b: int):
         super().__init__(a, b, 3)
 
-    def forward(self, x):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
         return super().forward(
             F.pad(F.pad(x, (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1), mode="replicate")
         )
@@ -44,7 +46,7 @@ class Block(nn.Module):
         self.skip = nn.Conv2d(a, b, 1) if a != b else nn.Identity()
         nn.init.zeros_(self.conv2.weight)
 
-    def forward(self, x, e):
+    def forward(self, x: torch.Tensor, e: torch.Tensor) -> torch.Tensor:
         h = self.conv1(F.silu(self.norm1(x)))
         scale, shift = self.affine(e)[:, :, None, None].chunk(2, 1)
         h = self.conv2(F.silu(self.norm2(h) * (1 + scale) + shift))
@@ -60,7 +62,7 @@ class Attention(nn.Module):
         self.qkv, self.out = nn.Conv2d(c, 3 * c, 1), nn.Conv2d(c, c, 1)
         nn.init.zeros_(self.out.weight)
 
-    def forward(self, x):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
         n, c, h, w = x.shape
         q, k, v = (
             self.qkv(self.norm(x))
@@ -81,7 +83,11 @@ class UNet(nn.Module):
     """
 
     def __init__(
-        self, channels=(24, 48, 96), blocks=(1, 2, 2), embedding: int = 96, sources: int = 1
+        self,
+        channels: Sequence[int] = (24, 48, 96),
+        blocks: Sequence[int] = (1, 2, 2),
+        embedding: int = 96,
+        sources: int = 1,
     ):
         super().__init__()
         self.embedding = embedding
@@ -103,7 +109,7 @@ class UNet(nn.Module):
         self.levels = [level for level, _ in skips]
         self.leave = nn.Sequential(nn.GroupNorm(8, c), nn.SiLU(), Conv(c, 3))
 
-    def forward(self, x, noise, label):
+    def forward(self, x: torch.Tensor, noise: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
         n, _, h, w = x.shape
         frequency = torch.exp(
             torch.linspace(0, math.log(1000), self.embedding // 2, device=x.device)
@@ -129,12 +135,12 @@ class UNet(nn.Module):
 class Denoiser(nn.Module):
     """D(x; sigma) = c_skip x + c_out F(c_in x; c_noise)."""
 
-    def __init__(self, **options):
+    def __init__(self, **options: Any):
         super().__init__()
         self.options = options
         self.net = UNet(**options)
 
-    def forward(self, x, sigma, label):
+    def forward(self, x: torch.Tensor, sigma: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
         s = sigma.reshape(-1, 1, 1, 1)
         root = (s**2 + SIGMA_DATA**2).sqrt()
         c_skip, c_out, c_in = SIGMA_DATA**2 / root**2, s * SIGMA_DATA / root, 1 / root

@@ -6,7 +6,9 @@ python -m pipeline.prior.sampling --prior prior_base --count 64 --label outdoor 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
@@ -17,6 +19,7 @@ from pipeline.base.images import to_srgb8, write_png
 from pipeline.base.progress import Bar
 from pipeline.prior.gaussian import GaussianPrior, translated
 from pipeline.prior.load import load_prior
+from pipeline.prior.protocol import DenoisingPrior, Prior
 
 # of the Gaussian start; the largest modes of natural light have twice that deviation and show
 # through
@@ -29,15 +32,15 @@ CHURN, EXCESS = 0.5, 1.02
 
 
 def reverse_diffusion(
-    prior,
+    prior: DenoisingPrior,
     z: torch.Tensor,
     rho: float,
     steps: int,
-    label,
-    rng,
-    noise,
+    label: str | Sequence[str | None] | None,
+    rng: np.random.Generator,
+    noise: torch.Generator,
     end: float = 0.01,
-    done=None,
+    done: Callable[[], None] | None = None,
     churn: float = 1.0,
     excess: float = 1.0,
 ) -> torch.Tensor:
@@ -73,10 +76,12 @@ class Guided:
     which it would make too sure.
     """
 
-    def __init__(self, prior):
+    def __init__(self, prior: DenoisingPrior):
         self.prior = prior
 
-    def denoise(self, x: torch.Tensor, sigma: float, label) -> torch.Tensor:
+    def denoise(
+        self, x: torch.Tensor, sigma: float, label: str | Sequence[str | None] | None = None
+    ) -> torch.Tensor:
         labelled = self.prior.denoise(x, sigma, label)
         if not GUIDED_FROM < sigma < GUIDED_TO:
             return labelled
@@ -92,7 +97,9 @@ def classes(shares: dict[str, float], count: int, rng: np.random.Generator) -> l
     return [str(name) for name in rng.permutation(np.repeat(list(shares), numbers))]
 
 
-def first_noise(prior, gaussian: GaussianPrior, count: int, noise: torch.Generator) -> torch.Tensor:
+def first_noise(
+    prior: Prior, gaussian: GaussianPrior, count: int, noise: torch.Generator
+) -> torch.Tensor:
     """Codes (count, 3, h, w) seen through noise of FIRST_SIGMA, where a Gaussian describes them
     well enough.
 
@@ -104,7 +111,7 @@ def first_noise(prior, gaussian: GaussianPrior, count: int, noise: torch.Generat
 
 
 def draw(
-    prior,
+    prior: Prior,
     count: int,
     steps: int,
     seed: int,
@@ -118,7 +125,7 @@ def draw(
     """
     noise, rng, out = torch.Generator().manual_seed(seed), np.random.default_rng(seed), []
     gaussian, labels = (
-        load_prior(start),
+        cast(GaussianPrior, load_prior(start)),
         classes(prior.shares, count, rng) if prior.shares and not label else [label] * count,
     )
     guided = prior if None in labels else Guided(prior)
@@ -143,7 +150,7 @@ def draw(
     return torch.cat(out)
 
 
-def lights(prior, codes: torch.Tensor) -> np.ndarray:
+def lights(prior: Prior, codes: torch.Tensor) -> np.ndarray:
     """Scale-free radiance (n, h, w, 3)."""
     return prior.decode(codes).numpy().transpose(0, 2, 3, 1)
 

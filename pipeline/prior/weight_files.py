@@ -13,12 +13,14 @@ from safetensors.torch import save_file
 
 from pipeline.base.errors import InputError
 from pipeline.base.files import atomic_path
+from pipeline.prior.locate import part_paths
 
 PART = 15 * 2**20
 
 
 def _groups(tensors: dict[str, torch.Tensor], limit: int) -> list[dict[str, torch.Tensor]]:
-    groups, size = [{}], 0
+    groups: list[dict[str, torch.Tensor]] = [{}]
+    size = 0
     for name, value in tensors.items():
         bytes_ = value.numel() * value.element_size()
         if groups[-1] and size + bytes_ > limit:
@@ -47,24 +49,6 @@ def save_parts(
     for old in {path, *path.parent.glob(f"{path.stem}-*-of-*.safetensors")} - set(names):
         old.unlink(missing_ok=True)
     return names
-
-
-def part_paths(path: Path) -> list[Path]:
-    """The files that `path` (NAME.safetensors) stands for: itself, or its parts; empty when there
-    are none.
-
-    Raises InputError when some parts are missing.
-    """
-    if path.exists():
-        return [path]
-    found = sorted(path.parent.glob(f"{path.stem}-*-of-*.safetensors"))
-    if found and len(found) != int(found[0].stem.rsplit("-", 1)[1]):
-        raise InputError(
-            f"only {len(found)} of {found[0].stem.rsplit('-', 1)[1]} parts are there",
-            path,
-            "fetch the missing parts",
-        )
-    return found
 
 
 def load_parts(path: Path) -> tuple[dict[str, torch.Tensor], dict]:

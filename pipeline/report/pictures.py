@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from pipeline.base.config import Scene
-from pipeline.base.images import linear_to_srgb, read_exr, read_png, to_srgb8
+from pipeline.base.images import in_rows, linear_to_srgb, read_exr, read_png, to_srgb8
 from pipeline.geometry.cameras import Rig, View
 from pipeline.render.envmap import directions, mean_radiance, resample_area
 from pipeline.render.metrics import psnr, render_twice, render_view
@@ -22,38 +22,34 @@ HEAT = cv2.COLORMAP_INFERNO
 def encode(pixels: np.ndarray, kind: str = "JPEG") -> bytes:
     """uint8 picture as JPEG (quality 88) or PNG bytes."""
     buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels, np.uint8)).save(
-        buffer, kind, **({"quality": 88} if kind == "JPEG" else {})
-    )
+    options = {"quality": 88} if kind == "JPEG" else {}
+    Image.fromarray(np.ascontiguousarray(pixels, np.uint8)).save(buffer, kind, **options)
     return buffer.getvalue()
 
 
 def heat(values: np.ndarray, top: float) -> np.ndarray:
     """Scalar map (h, w) in [0, top] as colours."""
-    return cv2.cvtColor(
-        cv2.applyColorMap((np.clip(values / top, 0, 1) * 255).astype(np.uint8), HEAT),
-        cv2.COLOR_BGR2RGB,
-    )
+    index = (np.clip(values / top, 0, 1) * 255).astype(np.uint8)
+    return cv2.cvtColor(cv2.applyColorMap(index, HEAT), cv2.COLOR_BGR2RGB)
+
+
+def shrink(texture: np.ndarray) -> np.ndarray:
+    """A texture at the size that the page shows."""
+    return cv2.resize(texture, (384, 384), interpolation=cv2.INTER_AREA)
 
 
 def contact_sheet(work: Path, rig: Rig, height: int = 150, limit: int = 18) -> bytes:
+    """At most `limit` of the photos, six in a row, as JPEG."""
     tiles = []
     for v in rig.views[:: max(1, -(-len(rig.views) // limit))]:
         photo = to_srgb8(read_exr(work / "poses" / v.image))
-        tiles.append(
-            cv2.resize(
-                photo, (round(v.width * height / v.height), height), interpolation=cv2.INTER_AREA
-            )
-        )
-    width = max(t.shape[1] for t in tiles)
-    tiles = [np.pad(t, ((0, 0), (0, width - t.shape[1]), (0, 0))) for t in tiles]
-    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % 6)
-    return encode(
-        np.concatenate([np.concatenate(tiles[k : k + 6], 1) for k in range(0, len(tiles), 6)])
-    )
+        size = (round(v.width * height / v.height), height)
+        tiles.append(cv2.resize(photo, size, interpolation=cv2.INTER_AREA))
+    return encode(in_rows(tiles, 6))
 
 
 def show_light(light: np.ndarray, exposure: float, width: int = 512) -> np.ndarray:
+    """A light (h, 2h, 3) at this exposure as a picture (width / 2, width, 3) uint8."""
     big = cv2.resize(light, (width, width // 2), interpolation=cv2.INTER_NEAREST)
     return to_srgb8(big * exposure)
 
@@ -65,9 +61,8 @@ def evening_light(height: int) -> np.ndarray:
     d = directions(4 * height, 8 * height)
     sun = np.array([0.75, 0.35, 0.56]) / np.linalg.norm([0.75, 0.35, 0.56])
     sky = np.where(d[..., 1:2] > 0, np.array([0.35, 0.5, 0.9]), np.array([0.10, 0.08, 0.06]))
-    light = sky + 60 * np.exp((d @ sun - 1) / np.radians(5) ** 2)[..., None] * np.array(
-        [1.0, 0.62, 0.3]
-    )
+    disc = np.exp((d @ sun - 1) / np.radians(5) ** 2)[..., None]
+    light = sky + 60 * disc * np.array([1.0, 0.62, 0.3])
     light = resample_area(light.astype(np.float32), height, 2 * height)
     return light / mean_radiance(light).mean()
 
@@ -76,26 +71,22 @@ class Painter:
     """Renders samples from one view, beside its photo and under another light."""
 
     def __init__(self, work: Path, view: View, scene: Scene):
-        self.work, self.scene = work, scene
+        self.work = work
+        self.scene = scene
         self.view = view.scaled(min(1.0, scene.report.relight_size * 2 / view.width))
-        self.photo = cv2.resize(
-            read_exr(work / "poses" / view.image),
-            (self.view.width, self.view.height),
-            interpolation=cv2.INTER_AREA,
-        )
+
+        size = (self.view.width, self.view.height)
+        photo = read_exr(work / "poses" / view.image)
         mask = read_png(work / "mesh" / "masks" / f"{view.name}.png")
-        self.mask = (
-            cv2.resize(mask, (self.view.width, self.view.height), interpolation=cv2.INTER_AREA)
-            > 250
-        )
+        self.photo = cv2.resize(photo, size, interpolation=cv2.INTER_AREA)
+        self.mask = cv2.resize(mask, size, interpolation=cv2.INTER_AREA) > 250
         self.box = self._crop()
         self.renderers: dict = {}
 
-    def _crop(self):
+    def _crop(self) -> tuple[slice, slice]:
         """The part of the picture that holds the object, with a margin."""
-        rows, columns = (
-            np.where(self.mask) if self.mask.any() else np.where(np.ones_like(self.mask))
-        )
+        shown = self.mask if self.mask.any() else np.ones_like(self.mask)
+        rows, columns = np.where(shown)
         margin = 12
         return np.s_[
             max(rows.min() - margin, 0) : rows.max() + margin,
@@ -103,32 +94,33 @@ class Painter:
         ]
 
     def renderer(self, x: Explanation) -> Renderer:
-        key = (x.base_color.shape[0], x.light.shape[0])
-        if key not in self.renderers:
-            self.renderers[key] = Renderer(
-                self.work / "atlas" / "mesh_uv.ply", *key, self.scene.render.max_depth
-            )
-        return self.renderers[key]
+        """The renderer for textures and lights of the size that `x` has."""
+        sizes = (x.base_color.shape[0], x.light.shape[0])
+        if sizes not in self.renderers:
+            mesh = self.work / "atlas" / "mesh_uv.ply"
+            self.renderers[sizes] = Renderer(mesh, *sizes, self.scene.render.max_depth)
+        return self.renderers[sizes]
 
     def photo_jpeg(self) -> bytes:
+        """The photo, cropped to the object."""
         return encode(to_srgb8(self.photo)[self.box])
 
     def sample(self, x: Explanation) -> dict:
         """All pictures of one sample as bytes, and its PSNR in this view."""
-        halves = render_twice(
-            self.renderer(x), x, self.view, np.ones_like(self.mask, bool), self.scene.report.spp
-        )
+        spp = self.scene.report.spp
+        everywhere = np.ones_like(self.mask, bool)
+        halves = render_twice(self.renderer(x), x, self.view, everywhere, spp)
         picture = halves.mean(0)
         error = np.abs(linear_to_srgb(picture) - linear_to_srgb(self.photo)).mean(-1) * self.mask
-        level = float(mean_radiance(x.light).mean())
-        relight = Explanation(
-            evening_light(x.light.shape[0]) * level, x.base_color, x.roughness, x.metallic
-        )
-        other = render_view(self.renderer(x), relight, self.view, self.scene.report.spp)
-        shrink = lambda m: cv2.resize(m, (384, 384), interpolation=cv2.INTER_AREA)
+
+        brightness = float(mean_radiance(x.light).mean())
+        evening = evening_light(x.light.shape[0]) * brightness
+        relit = Explanation(evening, x.base_color, x.roughness, x.metallic)
+        other = render_view(self.renderer(x), relit, self.view, spp)
+
         grey = lambda m: encode((shrink(np.clip(m, 0, 1)) * 255).astype(np.uint8))
         return {
-            "lights": [encode(show_light(x.light, e / level)) for e in (0.08, 0.4, 2.0)],
+            "lights": [encode(show_light(x.light, e / brightness)) for e in (0.08, 0.4, 2.0)],
             "base_color": encode(to_srgb8(shrink(x.base_color))),
             "roughness": grey(x.roughness),
             "metallic": grey(x.metallic),
@@ -136,7 +128,7 @@ class Painter:
             "error": encode(heat(error, 0.25)[self.box]),
             "relight": encode(to_srgb8(other)[self.box]),
             "psnr": psnr(halves[0], self.photo, self.mask, halves[1]),
-            "mean_radiance": level,
+            "mean_radiance": brightness,
             "mean_base_color": float(x.base_color.mean()),
         }
 
@@ -146,22 +138,16 @@ class Painter:
         """
         if len(samples) < 2:
             return {}
-        over = lambda f: np.std([f(x) for x in samples], axis=0)
-        shrink = lambda m: cv2.resize(
-            m.astype(np.float32), (384, 384), interpolation=cv2.INTER_AREA
-        )
-        color = over(lambda x: linear_to_srgb(x.base_color)).mean(-1)
-        light = over(lambda x: np.log(np.maximum(x.light, 1e-4) / x.light.mean())).mean(-1)
+
+        deviation = lambda f: np.std([f(x) for x in samples], axis=0).astype(np.float32)
+        color = deviation(lambda x: linear_to_srgb(x.base_color)).mean(-1)
+        roughness = deviation(lambda x: x.roughness)
+        metallic = deviation(lambda x: x.metallic)
+        light = deviation(lambda x: np.log(np.maximum(x.light, 1e-4) / x.light.mean())).mean(-1)
+        light = cv2.resize(light, (512, 256), interpolation=cv2.INTER_NEAREST)
         return {
             "base colour (0 to 0.2, sRGB)": encode(heat(shrink(color), 0.2)),
-            "roughness (0 to 0.3)": encode(heat(shrink(over(lambda x: x.roughness)), 0.3)),
-            "metallic (0 to 0.3)": encode(heat(shrink(over(lambda x: x.metallic)), 0.3)),
-            "light (log radiance, 0 to 2)": encode(
-                heat(
-                    cv2.resize(
-                        light.astype(np.float32), (512, 256), interpolation=cv2.INTER_NEAREST
-                    ),
-                    2.0,
-                )
-            ),
+            "roughness (0 to 0.3)": encode(heat(shrink(roughness), 0.3)),
+            "metallic (0 to 0.3)": encode(heat(shrink(metallic), 0.3)),
+            "light (log radiance, 0 to 2)": encode(heat(light, 2.0)),
         }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from collections.abc import Callable
 from importlib import metadata
 
 from pipeline import __version__
@@ -81,7 +82,7 @@ def render() -> str:
     return f"Mitsuba renders 8x8 pixels and their gradient (LLVM: {runtime.llvm_path()}, {dr.thread_count()} threads)"
 
 
-def attempt(work, cure: str) -> tuple[bool, str]:
+def attempt(work: Callable[[], str], cure: str) -> tuple[bool, str]:
     """Run a check whose failure must be reported, whatever it is."""
     try:
         return True, work()
@@ -108,7 +109,8 @@ def memory() -> str:
 
 
 def weights() -> str:
-    from pipeline.prior.load import known_priors, load_prior
+    from pipeline.prior.load import load_prior
+    from pipeline.prior.locate import known_priors
 
     loaded = {name: load_prior(name) for name in known_priors()}
     if not loaded:

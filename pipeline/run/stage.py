@@ -7,6 +7,8 @@ from __future__ import annotations
 import argparse
 import resource
 import time
+from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import yaml
@@ -45,17 +47,31 @@ class Stage:
         self.start = time.monotonic()
 
     def costs(self) -> dict:
-        """Wall seconds and peak resident memory of this process so far, for the stage's metrics."""
+        """Wall seconds and peak resident memory of this process so far, and the time: for the
+        stage's metrics.
+
+        By the time no two runs leave the same metrics, so that Snakemake, which compares small
+        files by content, sees in them that the stage has run.
+        """
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-        return {"seconds": round(time.monotonic() - self.start, 2), "peak_gib": round(peak, 3)}
+        return {
+            "seconds": round(time.monotonic() - self.start, 2),
+            "peak_gib": round(peak, 3),
+            "finished": datetime.now(UTC).isoformat(),
+        }
 
 
-def stage(doc: str, inputs: dict[str, str], work, extra=None) -> None:
+def stage(
+    doc: str | None,
+    inputs: dict[str, str],
+    work: Callable[[Stage], None],
+    extra: Callable[[argparse.ArgumentParser], object] | None = None,
+) -> None:
     """Run `work(Stage)` as a command. `inputs` maps option names to help texts; `extra(parser)` may
     add options.
     """
 
-    def main():
+    def main() -> None:
         parser = argparse.ArgumentParser(
             description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
         )

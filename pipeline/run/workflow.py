@@ -1,107 +1,146 @@
-"""What the Snakefile needs to know about scenes and code, so that Snakemake re-runs what changed
-and nothing else.
+"""What the Snakefile needs to know about scenes, so that Snakemake re-runs what changed and nothing
+else, and so that a scene's name is never read as a command.
 """
 
 from __future__ import annotations
 
-import ast
 import fcntl
-import hashlib
 import json
-from functools import cache
+import shlex
+import sys
 from pathlib import Path
+from typing import TextIO
 
 from pipeline.base.config import Scene, load_scene, slice_of
 from pipeline.base.errors import InputError
-from pipeline.photos.capture import camera_file, find_photos
+from pipeline.photos.capture import camera_file, find_photos, mask_file
+from pipeline.prior.locate import prior_files
 from pipeline.run.stage import overrides
 
-ROOT = Path(__file__).resolve().parents[2]
+CONFIGS, WORK = Path("configs"), Path("work")
+LONGEST_NAME = 100  # bytes: file names are made of it, and file systems end at 255
 
 
-def _module_file(name: str) -> Path | None:
-    path = ROOT / Path(*name.split("."))
-    return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.exists()), None)
+def checked_name(name: str) -> str:
+    """A scene's name, which is the stem of its configuration and becomes part of file names.
 
-
-@cache
-def _imports(file: Path) -> frozenset[Path]:
-    """Project files that a project file imports, at any depth of its syntax tree."""
-    package = ".".join(file.relative_to(ROOT).parent.parts)
-    found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-        if isinstance(node, ast.ImportFrom):
-            base = package.rsplit(".", node.level - 1)[0] if node.level > 1 else package
-            module = (
-                (f"{base}.{node.module}" if node.module else base) if node.level else node.module
-            )
-            names = [module] + [f"{module}.{a.name}" for a in node.names]
-        found |= {
-            f for n in names if n.split(".")[0] in ("pipeline", "stages") and (f := _module_file(n))
-        }
-    return frozenset(found)
-
-
-def code_digest(stage: str) -> str:
-    """Hash of a stage's script and of every project module it imports, directly or not.
-
-    The modules that describe settings and command lines are left out: what matters of them is in
-    the stage's slice.
+    Raises InputError for names that cannot be files (`/`, control characters, too long), that a
+    command would take for an option (a leading `-`), that mean other folders or hidden files (a
+    leading `.`), or that Snakemake takes for a wildcard (braces). Anything else may stand in a
+    name, quotes, spaces and `$` too.
     """
-    todo, seen = [ROOT / "stages" / f"{stage}.py"], set()
-    while todo:
-        file = todo.pop()
-        if file not in seen and file.name not in (
-            "config.py",
-            "stage.py",
-            "progress.py",
-            "errors.py",
-            "files.py",
-        ):
-            seen.add(file)
-            todo += _imports(file)
-    return hashlib.sha256(b"".join(f.read_bytes() for f in sorted(seen))).hexdigest()[:16]
+    wrong = [character for character in name if character in "/{}" or not character.isprintable()]
+    if not name or name[0] in ".-" or wrong or len(name.encode()) > LONGEST_NAME:
+        raise InputError(
+            f"'{name}' cannot be the name of a scene",
+            CONFIGS,
+            f"call it by at most {LONGEST_NAME} characters without / {{ }} and without . or - in "
+            "front",
+        )
+    return name
 
 
 def flattened(settings: dict, above: str = "") -> list[str]:
-    """{"mesh": {"grid": 128}} -> ["mesh.grid=128"], the form that stages take."""
+    """{"mesh": {"grid": 128}} -> ["mesh.grid=128"], the form that stages take.
+
+    Texts are passed on as the user wrote them, in YAML.
+    """
     out = []
     for key, value in settings.items():
-        out += (
-            flattened(value, f"{above}{key}.")
-            if isinstance(value, dict)
-            else [f"{above}{key}={value}"]
-        )
+        if isinstance(value, dict):
+            out += flattened(value, f"{above}{key}.")
+        else:
+            text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+            out.append(f"{above}{key}={text}")
     return out
 
 
-class Scenes:
-    """Validated configurations of the scenes that targets ask for."""
+def literal(text: str) -> str:
+    """`text` as one word of a shell command that Snakemake formats first."""
+    return shlex.quote(text).replace("{", "{{").replace("}", "}}")
 
-    def __init__(self, settings: dict):
+
+def _unfinished(scene: str, job: str) -> str:
+    return f"{WORK}/{scene}/.unfinished/{job}"
+
+
+def unfinished_runs(scene: str, job: str) -> int:
+    """How many runs of a job have begun and not come to their end, whether they failed or were
+    killed. It is part of what decides that a job is due (see `stage_command`).
+    """
+    file = Path(_unfinished(scene, job))
+    return file.stat().st_size if file.exists() else 0
+
+
+def stage_command(stage: str, job: str, options: str, settings: list[str]) -> str:
+    """The shell command of a stage as a template that Snakemake fills in; `:q` quotes what it fills
+    in. Its log keeps everything, the terminal sees the progress.
+
+    job: the stage's name, with the sample's number where there is one. options: further words of
+    the command. settings: the user's overrides, key=value.
+
+    The command adds a byte to the job's file of unfinished runs and takes it off when all is done
+    (Snakemake's shell ends at the first failure). Without it a job that failed would be forgotten:
+    Snakemake notes the new parameters of failed jobs too, and does not mind that a file in the
+    middle of the chain is missing or old as long as the files made from it are there.
+    """
+    mark = Path(_unfinished("{wildcards.scene:q}", job))
+    overriding = "".join(f" --set {literal(setting)}" for setting in settings)
+    return (
+        f"mkdir -p {mark.parent}; echo >> {mark}; "
+        f"OMP_NUM_THREADS={{threads}} {literal(sys.executable)} -m stages.{stage} "
+        f"--config {CONFIGS}/{{wildcards.scene:q}}.yaml{overriding} --threads {{threads}} "
+        f"{options} 2>&1 | tee {{log:q}}; "
+        f"truncate --size=-1 {mark}"
+    )
+
+
+class Scenes:
+    """Validated configurations of the scenes that targets ask for.
+
+    settings: the user's overrides, nested. exclusive: hold a lock on every scene that is asked for
+    until the process ends; other scenes may be made in the same folder at the same time.
+    """
+
+    def __init__(self, settings: dict, exclusive: bool = False):
         self.settings = flattened(settings)
+        self.exclusive = exclusive
         self.loaded: dict[str, Scene] = {}
+        self.locks: list = []
 
     def __call__(self, name: str) -> Scene:
         if name not in self.loaded:
-            self.loaded[name] = load_scene(
-                Path("configs") / f"{name}.yaml", overrides(self.settings)
-            )
+            file = CONFIGS / f"{checked_name(name)}.yaml"
+            scene = load_scene(file, overrides(self.settings))
+            if self.exclusive:
+                self.locks.append(only_one_run(WORK / name / ".running"))
+            self.loaded[name] = scene
         return self.loaded[name]
 
+    @staticmethod
+    def known() -> list[str]:
+        """Names of the scenes that have a configuration."""
+        return sorted(file.stem for file in CONFIGS.glob("*.yaml"))
+
     def slice(self, name: str, *sections: str) -> str:
+        """The values of those sections of a scene's configuration, as JSON."""
         return json.dumps(slice_of(self(name), *sections), sort_keys=True)
 
     def photos(self, name: str) -> list[str]:
-        """Files that the capture stage reads."""
+        """Files that the capture stage reads: photos and the masks that were given for them."""
         folder = Path(self(name).photos)
-        masks = (
-            sorted(p for p in (folder / "masks").glob("*") if p.is_file())
-            if (folder / "masks").is_dir()
-            else []
-        )
-        return [str(p) for _, p, _ in find_photos(folder)] + [str(p) for p in masks]
+        photos = [path for _, path, _ in self._found(name)]
+        masks = [mask for path in photos if (mask := mask_file(folder, path))]
+        return [str(path) for path in photos + masks]
+
+    def order(self, name: str) -> str:
+        """Photos in their order, and which are for scoring only: what the capture stage takes from
+        a transforms file beside the photos' paths.
+        """
+        return json.dumps([[photo, split] for photo, _, split in self._found(name)])
+
+    def _found(self, name: str) -> list[tuple[str, Path, str]]:
+        return find_photos(Path(self(name).photos))
 
     def cameras(self, name: str) -> list[str]:
         """Files with known cameras that the poses stage reads."""
@@ -111,13 +150,25 @@ class Scenes:
         ]
         return [str(p) for p in given + sorted((folder / "sparse" / "0").glob("*.*"))]
 
+    def network(self, name: str) -> list[str]:
+        """The user's network that the masks stage runs, if it is asked for."""
+        masks = self(name).masks
+        return [str(masks.onnx_model)] if masks.method == "onnx" and masks.onnx_model else []
+
     def mesh(self, name: str) -> list[str]:
         """The given mesh, if there is one."""
         folder = Path(self(name).photos)
         return [str(p) for p in (folder / "mesh.ply", folder / "mesh.obj") if p.exists()][:1]
 
+    def priors(self, name: str) -> list[str]:
+        """Weight files that the sample stage reads, every part of each."""
+        sample = self(name).sample
+        files = prior_files(sample.prior) + prior_files(sample.search_prior)
+        here = Path.cwd()
+        return [str(f.relative_to(here) if f.is_relative_to(here) else f) for f in files]
 
-def only_one_run(path: Path):
+
+def only_one_run(path: Path) -> TextIO:
     """Hold a lock that the operating system releases when this process ends, however it ends;
     InputError if taken.
     """
@@ -127,6 +178,8 @@ def only_one_run(path: Path):
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise InputError(
-            "another run is at work in this folder", path, "wait for it, or stop it first"
+            "another run is at work on this scene",
+            path.parent,
+            "wait for it, or stop it first; other scenes may be made at the same time",
         ) from error
     return handle

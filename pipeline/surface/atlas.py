@@ -101,6 +101,7 @@ def make_atlas(mesh_path: Path, out: Path, settings: Atlas) -> dict:
             )
             mesh = weld(mesh)
         kept, charts = unwrap(mesh, settings)
+        assert kept.uv is not None
         facts = judge(kept.uv, kept.faces)
 
     if not facts["in_range"] or facts["overlap"] > 0.01:
@@ -112,6 +113,7 @@ def make_atlas(mesh_path: Path, out: Path, settings: Atlas) -> dict:
 
     save_mesh(out / "mesh_uv.ply", kept)
     save_mesh(out / "mesh_uv.obj", kept)
+    assert kept.uv is not None
     write_png(out / "atlas.png", layout(kept.uv, kept.faces))
     return {
         "charts": charts,

@@ -37,7 +37,16 @@ def signed_distance(mask: np.ndarray) -> np.ndarray:
 
 
 @njit(parallel=True, fastmath=True, cache=False)
-def hull_field(low, cell, shape, matrices, distances, focal, truncation, tolerance):
+def hull_field(
+    low: np.ndarray,
+    cell: np.float32,
+    shape: tuple[int, int, int],
+    matrices: np.ndarray,
+    distances: np.ndarray,
+    focal: np.ndarray,
+    truncation: np.float32,
+    tolerance: float,
+) -> np.ndarray:
     """Per cell the smallest signed distance over the views that see it, but for the smallest few:
     as many are ignored as `tolerance` (a fraction) of those views.
     """
@@ -76,7 +85,15 @@ def hull_field(low, cell, shape, matrices, distances, focal, truncation, toleran
 
 
 @njit(parallel=True, fastmath=True, cache=False)
-def stereo_field(low, cell, shape, matrices, depths, weights, truncation):
+def stereo_field(
+    low: np.ndarray,
+    cell: np.float32,
+    shape: tuple[int, int, int],
+    matrices: np.ndarray,
+    depths: np.ndarray,
+    weights: np.ndarray,
+    truncation: np.float32,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weighted mean of truncated (cell depth - surface depth), its weight, and votes for free
     space, per cell.
     """
@@ -110,7 +127,7 @@ def stereo_field(low, cell, shape, matrices, depths, weights, truncation):
     return out, total, free
 
 
-def stacked(images: list[np.ndarray], interpolation=cv2.INTER_NEAREST) -> np.ndarray:
+def stacked(images: list[np.ndarray], interpolation: int = cv2.INTER_NEAREST) -> np.ndarray:
     """(v, h, w) float32: all images resized to the first one's size."""
     h, w = images[0].shape
     return np.stack(

@@ -20,6 +20,7 @@ from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import hull_points
 from pipeline.surface.clean import facts, simplify, to_mesh
+from pipeline.surface.facts import SurfaceFacts
 from pipeline.surface.field import hull_of, projections, stacked, stereo_field
 from pipeline.surface.preview import Silhouette, shaded
 from pipeline.surface.stereo import Depth, stereo
@@ -78,7 +79,7 @@ def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
         return points, 2.5 * cell
 
     area = {n: float(m.mean()) for n, m in masks.items()}
-    worst = sorted(area, key=area.get)[:3]
+    worst = sorted(area, key=area.__getitem__)[:3]
     raise InputError(
         f"the masks have no volume in common; smallest masks: {', '.join(worst)}",
         "masks",
@@ -94,7 +95,7 @@ def build_field(
     settings: MeshSettings,
     given: bool,
     threads: int,
-):
+) -> tuple[np.ndarray, Grid, dict]:
     """Field and grid by the chosen method, and the facts behind the choice."""
     points, margin = coarse_hull(rig, masks)
     low = points.min(0) - margin
@@ -116,7 +117,7 @@ def build_field(
     tolerance = 0.04 if given else 0.08
     hull = hull_of(grid, carving, [masks[v.name] for v in carving], truncation, tolerance)
 
-    depths = []
+    depths: list[Depth] = []
     share = None
     if settings.method != "hull":
         depths, share = _stereo_of(rig, poses, masks, settings, points, margin, threads)
@@ -131,7 +132,15 @@ def build_field(
     return field, grid, {"method": method, "why": why, "stereo_share": share}
 
 
-def _stereo_of(rig: Rig, poses: Path, masks: dict, settings: MeshSettings, points, margin, threads):
+def _stereo_of(
+    rig: Rig,
+    poses: Path,
+    masks: dict,
+    settings: MeshSettings,
+    points: np.ndarray,
+    margin: float,
+    threads: int,
+) -> tuple[list[Depth], float]:
     """Depth maps of all photos at `stereo_scale`, and the share of mask pixels that have depth."""
     views = [v.scaled(settings.stereo_scale) for v in rig.views]
     images = []
@@ -150,6 +159,7 @@ def _choose(settings: MeshSettings, share: float | None) -> tuple[str, str]:
     if settings.method != "auto":
         return settings.method, "asked for"
 
+    assert share is not None  # only the hull does without stereo
     trusted = share >= settings.min_agreement
     why = (
         f"{100 * share:.0f} % of mask pixels have depth that views agree on; "
@@ -162,8 +172,8 @@ def _choose(settings: MeshSettings, share: float | None) -> tuple[str, str]:
 def make_mesh(
     poses: Path, masks_folder: Path, scene: Path, out: Path, settings: MeshSettings, threads: int
 ) -> dict:
-    """Write mesh.ply and preview.png into `out`; returns metrics and facts, among them the normals'
-    error in radians, 0 for a given mesh: its wobble is meant.
+    """Write mesh.ply, surface.json (`SurfaceFacts`), preview.png and masks/ into `out`; returns
+    metrics and what was decided. The normals' error is 0 for a given mesh: its wobble is meant.
     """
     rig = load_cameras(poses / "cameras.json")
     mesh = given_mesh(scene, rig)
@@ -189,6 +199,7 @@ def make_mesh(
             "warnings": warnings_of(rig, masks),
         }
     save_mesh(out / "mesh.ply", mesh)
+    SurfaceFacts(metrics["normal_error"]).save(out)
     write_png(out / "preview.png", shaded(mesh))
     metrics["mask_share_without_surface"] = surface_masks(
         rig,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+from typing import Any
+
 import numpy as np
 
 from pipeline.base.runtime import import_open3d
@@ -9,7 +12,7 @@ from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import Mesh
 
 
-def caster(mesh: Mesh):
+def caster(mesh: Mesh) -> tuple[Any, ModuleType]:
     """Open3D's ray-casting scene of a mesh, and the module."""
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()

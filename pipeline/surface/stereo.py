@@ -81,7 +81,7 @@ def rectified_pair(a: View, b: View, hull: np.ndarray, margin: float) -> Rectifi
     close-up whose search went as far as a sphere around the object took a hundred times as long.
     """
     x = b.position - a.position
-    baseline = np.linalg.norm(x)
+    baseline = float(np.linalg.norm(x))
     x = x / baseline
     z = a.world_to_camera[2, :3] + b.world_to_camera[2, :3]
     z = z - (z @ x) * x
@@ -106,7 +106,7 @@ def rectified_pair(a: View, b: View, hull: np.ndarray, margin: float) -> Rectifi
 
 def _matched(left: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:
     """Disparities (h, w) in pixels of rectified 8-bit pictures; 0 or less where matching failed."""
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=count,
         blockSize=5,
@@ -121,7 +121,14 @@ def _matched(left: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:
     return matcher.compute(left, right).astype(np.float32) / 16
 
 
-def pair_depth(a: View, b: View, image_a, image_b, hull, margin: float) -> np.ndarray:
+def pair_depth(
+    a: View,
+    b: View,
+    image_a: np.ndarray,
+    image_b: np.ndarray,
+    hull: np.ndarray,
+    margin: float,
+) -> np.ndarray:
     """Depth of view a (h, w) from its pair with b; 0 where matching failed. Images are 8-bit grey
     at the views' size.
     """

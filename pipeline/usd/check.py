@@ -13,6 +13,7 @@ from pipeline.base.errors import InputError
 
 
 def _validate(stage: Usd.Stage) -> list[str]:
+    """What OpenUSD's own validators complain of."""
     registry = UsdValidation.ValidationRegistry()
     context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
     return [f"{e.GetType()} {e.GetName()}: {e.GetMessage()}" for e in context.Validate(stage)]
@@ -33,8 +34,8 @@ def _paths(stage: Usd.Stage) -> list[str]:
 
 
 def check(path: str | Path) -> list[str]:
-    """Problems of a USD file, with each variant selected in turn; an empty list is a pass.
-    InputError if unreadable.
+    """Problems of a USD file, with each variant selected in turn; an empty list is a pass. Raises
+    InputError for an unreadable file.
     """
     try:
         stage = Usd.Stage.Open(str(path))
@@ -42,14 +43,19 @@ def check(path: str | Path) -> list[str]:
         raise InputError(
             f"not a readable USD file ({error})", path, "export the scene again"
         ) from error
+
+    file = Path(path).name
     root = stage.GetDefaultPrim()
-    names = root.GetVariantSet("sample").GetVariantNames() if root and root.HasVariantSets() else []
+    variants = []
+    if root and root.HasVariantSets():
+        variants = root.GetVariantSet("sample").GetVariantNames()
+
     problems = []
-    for name in names or [None]:
-        if name:
-            root.GetVariantSet("sample").SetVariantSelection(name)
-        problems += [
-            f"{Path(path).name} [{name or 'flat'}] {p}" for p in _validate(stage) + _paths(stage)
-        ]
-    layers, assets, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(path)))
-    return problems + [f"{Path(path).name}: unresolved {m}" for m in missing]
+    for variant in variants or [None]:
+        if variant:
+            root.GetVariantSet("sample").SetVariantSelection(variant)
+        found = _validate(stage) + _paths(stage)
+        problems += [f"{file} [{variant or 'flat'}] {p}" for p in found]
+
+    _, _, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(path)))
+    return problems + [f"{file}: unresolved {m}" for m in missing]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,9 +25,11 @@ from pipeline.geometry.mesh_io import Mesh, load_mesh
 from pipeline.render.renderer import Explanation
 from pipeline.usd.check import check
 
+Kinds = Sdf.ValueTypeNames
 GAUGE = (
-    "light scale and base colour trade off: (s L, a / s) explains diffuse photos equally well. The fit starts with a "
-    "median base colour of 0.35; specular light and interreflection move it from there."
+    "light scale and base colour trade off: (s L, a / s) explains diffuse photos equally well. "
+    "The fit starts with a median base colour of 0.35; specular light and interreflection move it "
+    "from there."
 )
 
 
@@ -48,28 +51,25 @@ def write_textures(x: Explanation, folder: Path, relative: str) -> Asset:
         write_png(folder / f"{name}.png", np.round(np.clip(getattr(x, name), 0, 1) * 255))
     write_exr(folder / "light.exr", x.light)
     return Asset(
-        *(
-            f"{relative}/{n}"
-            for n in ("base_color.png", "roughness.png", "metallic.png", "light.exr")
-        )
+        f"{relative}/base_color.png",
+        f"{relative}/roughness.png",
+        f"{relative}/metallic.png",
+        f"{relative}/light.exr",
     )
 
 
 def new_stage(path: Path, name: str, facts: dict) -> tuple[Usd.Stage, Usd.Prim]:
+    """An empty stage, Y-up in metres, and its root /<name>, which carries `facts`."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     root = UsdGeom.Xform.Define(stage, f"/{name}").GetPrim()
     stage.SetDefaultPrim(root)
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
-    root.SetCustomDataByKey(
-        "heliograph",
-        {
-            k: v
-            for k, v in (facts | {"version": __version__, "gauge": GAUGE}).items()
-            if v is not None
-        },
-    )
+
+    facts = facts | {"version": __version__, "gauge": GAUGE}
+    known = {key: value for key, value in facts.items() if value is not None}
+    root.SetCustomDataByKey("heliograph", known)
     return stage, root
 
 
@@ -85,9 +85,11 @@ def define_mesh(stage: Usd.Stage, root: Usd.Prim, mesh: Mesh) -> UsdGeom.Mesh:
     prim.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
     prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     prim.CreateDoubleSidedAttr(True)
+
     st = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
         "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
     )
+    assert mesh.uv is not None  # the atlas stage gives every mesh its own
     st.Set(Vt.Vec2fArray.FromNumpy(mesh.uv.astype(np.float32)))
     return prim
 
@@ -100,44 +102,44 @@ def define_material(
     """
     material = UsdShade.Material.Define(stage, root.GetPath().AppendChild("Material"))
     path = material.GetPath()
+
     reader = UsdShade.Shader.Define(stage, path.AppendChild("St"))
     reader.CreateIdAttr("UsdPrimvarReader_float2")
-    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
-    reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    reader.CreateInput("varname", Kinds.String).Set("st")
+    reader.CreateOutput("result", Kinds.Float2)
+
     surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
     surface.CreateIdAttr("UsdPreviewSurface")
-    surface.CreateInput("useSpecularWorkflow", Sdf.ValueTypeNames.Int).Set(0)
-    surface.CreateInput("ior", Sdf.ValueTypeNames.Float).Set(1.5)
+    surface.CreateInput("useSpecularWorkflow", Kinds.Int).Set(0)
+    surface.CreateInput("ior", Kinds.Float).Set(1.5)
+
     textures = {}
     for name, slot, space, kind, output in (
-        ("base_color", "diffuseColor", "sRGB", Sdf.ValueTypeNames.Color3f, "rgb"),
-        ("roughness", "roughness", "raw", Sdf.ValueTypeNames.Float, "r"),
-        ("metallic", "metallic", "raw", Sdf.ValueTypeNames.Float, "r"),
+        ("base_color", "diffuseColor", "sRGB", Kinds.Color3f, "rgb"),
+        ("roughness", "roughness", "raw", Kinds.Float, "r"),
+        ("metallic", "metallic", "raw", Kinds.Float, "r"),
     ):
-        texture = UsdShade.Shader.Define(
-            stage, path.AppendChild("".join(w.title() for w in name.split("_")))
-        )
+        title = "".join(word.title() for word in name.split("_"))
+        texture = UsdShade.Shader.Define(stage, path.AppendChild(title))
         texture.CreateIdAttr("UsdUVTexture")
-        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
-            reader.ConnectableAPI(), "result"
-        )
-        texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set(space)
+        st = texture.CreateInput("st", Kinds.Float2)
+        st.ConnectToSource(reader.ConnectableAPI(), "result")
+        texture.CreateInput("sourceColorSpace", Kinds.Token).Set(space)
         for wrap in ("wrapS", "wrapT"):
-            texture.CreateInput(wrap, Sdf.ValueTypeNames.Token).Set("clamp")
-        texture.CreateOutput(
-            output, Sdf.ValueTypeNames.Float3 if output == "rgb" else Sdf.ValueTypeNames.Float
-        )
-        texture.CreateInput("file", Sdf.ValueTypeNames.Asset)
+            texture.CreateInput(wrap, Kinds.Token).Set("clamp")
+        texture.CreateOutput(output, Kinds.Float3 if output == "rgb" else Kinds.Float)
+        texture.CreateInput("file", Kinds.Asset)
         surface.CreateInput(slot, kind).ConnectToSource(texture.ConnectableAPI(), output)
         textures[name] = texture
-    material.CreateSurfaceOutput().ConnectToSource(
-        surface.CreateOutput("surface", Sdf.ValueTypeNames.Token).GetAttr().GetPath()
-    )
+
+    out = surface.CreateOutput("surface", Kinds.Token)
+    material.CreateSurfaceOutput().ConnectToSource(out.GetAttr().GetPath())
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     return textures
 
 
 def define_light(stage: Usd.Stage, root: Usd.Prim) -> UsdLux.DomeLight:
+    """A white lat-long dome of intensity 1 whose texture is set later."""
     light = UsdLux.DomeLight.Define(stage, root.GetPath().AppendChild("Light"))
     light.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
     light.CreateIntensityAttr(1.0)
@@ -158,7 +160,9 @@ def write_variants(path: Path, name: str, mesh: Mesh, assets: list[Asset], facts
     """The main file: one variant per sample."""
     stage, root = new_stage(path, name, facts)
     prim = define_mesh(stage, root, mesh)
-    textures, light = define_material(stage, root, prim), define_light(stage, root)
+    textures = define_material(stage, root, prim)
+    light = define_light(stage, root)
+
     variants = root.GetVariantSets().AddVariantSet("sample")
     for k, asset in enumerate(assets):
         variants.AddVariant(f"sample_{k}")
@@ -173,13 +177,16 @@ def write_flat(path: Path, name: str, mesh: Mesh, asset: Asset, facts: dict) -> 
     """One sample without any composition, beside its folder of textures."""
     stage, root = new_stage(path, name, facts)
     prim = define_mesh(stage, root, mesh)
-    inside = Asset(*(v.split("/", 1)[1] for v in vars(asset).values()))
-    point_at(define_material(stage, root, prim), define_light(stage, root), inside, "./")
+    textures = define_material(stage, root, prim)
+    light = define_light(stage, root)
+
+    beside = Asset(*(path.split("/", 1)[1] for path in vars(asset).values()))
+    point_at(textures, light, beside, "./")
     stage.GetRootLayer().Save()
 
 
 @contextlib.contextmanager
-def staging(out: Path):
+def staging(out: Path) -> Iterator[Path]:
     """A folder beside `out` in which an export is built under its final names, so that it can be
     checked before it is seen.
     """
@@ -203,7 +210,8 @@ def build(folder: Path, scene: str, mesh: Mesh, samples: list[Path], facts: dict
     """Write <scene>.usda and <scene>/ into `folder`. RuntimeError when a file does not pass the
     validators.
     """
-    name, inside = Tf.MakeValidIdentifier(scene), folder / scene
+    name = Tf.MakeValidIdentifier(scene)
+    inside = folder / scene
     assets = [
         write_textures(Explanation.load(s), inside / f"sample_{k}", f"{scene}/sample_{k}")
         for k, s in enumerate(samples)
@@ -211,6 +219,7 @@ def build(folder: Path, scene: str, mesh: Mesh, samples: list[Path], facts: dict
     for k, asset in enumerate(assets):
         write_flat(inside / f"sample_{k}.usda", name, mesh, asset, facts | {"sample": k})
     write_variants(folder / f"{scene}.usda", name, mesh, assets, facts)
+
     files = [folder / f"{scene}.usda"] + [inside / f"sample_{k}.usda" for k in range(len(samples))]
     problems = [p for f in files for p in check(f)]
     if problems:
@@ -221,13 +230,12 @@ def package(folder: Path, scene: str) -> str | None:
     """Pack sample 0 as <scene>.usdz in `folder`. Returns why there is none, or None when it is
     there.
     """
-    target, why = folder / f"{scene}.usdz", "OpenUSD could not pack sample_0.usda"
-    if (
-        UsdUtils.CreateNewUsdzPackage(
-            Sdf.AssetPath(str(folder / scene / "sample_0.usda")), str(target)
-        )
-        and target.exists()
-    ):
+    source = Sdf.AssetPath(str(folder / scene / "sample_0.usda"))
+    target = folder / f"{scene}.usdz"
+    packed = UsdUtils.CreateNewUsdzPackage(source, str(target))
+
+    why = "OpenUSD could not pack sample_0.usda"
+    if packed and target.exists():
         problems = check(target)
         if not problems:
             return None
@@ -245,10 +253,8 @@ def publish(folder: Path, out: Path) -> None:
     packed = folder / f"{out.stem}.usdz"
     if packed.exists():
         os.replace(packed, out.with_suffix(".usdz"))
-    else:
-        out.with_suffix(".usdz").unlink(
-            missing_ok=True
-        )  # an older package would show an older result
+    else:  # an older package would show an older result
+        out.with_suffix(".usdz").unlink(missing_ok=True)
     os.replace(folder / out.name, out)
 
 
@@ -264,6 +270,7 @@ def export(atlas: Path, samples: list[Path], out: Path, facts: dict) -> dict:
         build(folder, out.stem, mesh, samples, facts | {"samples": len(samples)})
         unpacked = package(folder, out.stem)
         publish(folder, out)
+
     size = sum(f.stat().st_size for f in out.with_suffix("").rglob("*") if f.is_file()) / 2**20
     metrics = {
         "samples": len(samples),

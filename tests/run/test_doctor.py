@@ -26,7 +26,7 @@ def test_a_failing_check_is_a_finding_with_a_cure():
 
 def test_corrupt_weights_are_a_finding(tmp_path, monkeypatch):
     (tmp_path / "prior_small.safetensors").write_bytes(b"not a weight file")
-    monkeypatch.setattr("pipeline.prior.load.WEIGHTS", tmp_path)
+    monkeypatch.setattr("pipeline.prior.locate.WEIGHTS", tmp_path)
     good, text = doctor.attempt(doctor.weights, "check out weights/ again")
     assert not good and "what to do" in text
 

@@ -23,7 +23,7 @@ from pipeline.posterior.split_gibbs.likelihood import RowLikelihood
 from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.pooling import Fold, Pool, Whole, pooled
 from pipeline.prior.gaussian import GaussianPrior
-from pipeline.prior.protocol import LightPrior
+from pipeline.prior.protocol import Prior
 
 # modes of the Gaussian prior: 95 % of its variance
 COMPONENTS = 400
@@ -57,12 +57,12 @@ class Decoder:
     gain divides the radiance (light_moves.noise_gain).
     """
 
-    prior: LightPrior
+    prior: Prior
     pool: Pool
     gain: float = 1.0
 
     @classmethod
-    def onto(cls, prior: LightPrior, light_rows: int, gain: float = 1.0) -> Decoder:
+    def onto(cls, prior: Prior, light_rows: int, gain: float = 1.0) -> Decoder:
         """For an operator that resolves `light_rows` rows."""
         return cls(prior, Pool(prior.height, light_rows), gain)
 
@@ -143,7 +143,7 @@ class Modes:
     `light_rows`: rows of the light that the operator acts on.
     """
 
-    def __init__(self, gaussian: GaussianPrior, prior: LightPrior, count: int, light_rows: int):
+    def __init__(self, gaussian: GaussianPrior, prior: Prior, count: int, light_rows: int):
         ratio = gaussian.log_spread / prior.log_spread
         B, variance = gaussian.modes(count)
         self.B = ratio * B  # (K, 3, m)

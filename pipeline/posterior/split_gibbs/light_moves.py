@@ -33,7 +33,7 @@ from pipeline.posterior.split_gibbs.light_codes import (
 from pipeline.posterior.split_gibbs.light_draw import SliceInfo, draw_light
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.state import Kernel, Randomness, State
-from pipeline.prior.protocol import LightPrior
+from pipeline.prior.protocol import Prior
 from pipeline.prior.sampling import lights, reverse_diffusion
 from pipeline.prior.value_code import scale_of
 
@@ -153,7 +153,7 @@ def photo_light(mixer: Mixer, decoder: Decoder, rho: float) -> Kernel:
     return kernel
 
 
-def pull_of_twin(prior: LightPrior, rho: float) -> Callable[[State], Callable[[np.ndarray], float]]:
+def pull_of_twin(prior: Prior, rho: float) -> Callable[[State], Callable[[np.ndarray], float]]:
     """For `material_moves.gauge_kernel`: log-density of a shift (3,) of z's log radiance per
     channel, for the Gaussian of width rho between z and x.
     """
@@ -171,7 +171,7 @@ def pull_of_twin(prior: LightPrior, rho: float) -> Callable[[State], Callable[[n
     return pull_of
 
 
-def prior_light(prior: LightPrior, rho: float, label: str | None) -> Kernel:
+def prior_light(prior: Prior, rho: float, label: str | None) -> Kernel:
     """Kernel (Step 5d), x | z: the twin given the light's code, by reverse diffusion.
 
     x ~ p(x) N(z; x, rho^2): what the prior makes of a code seen through noise of width rho.
@@ -186,7 +186,7 @@ def prior_light(prior: LightPrior, rho: float, label: str | None) -> Kernel:
     return kernel
 
 
-def scale_of_one(prior: LightPrior) -> Kernel:
+def scale_of_one(prior: Prior) -> Kernel:
     """Kernel (Step 4d, Step 5e): what a code is over scale one goes to the light's scale; the
     radiance stays.
 

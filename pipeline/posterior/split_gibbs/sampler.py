@@ -39,7 +39,7 @@ from pipeline.posterior.split_gibbs.start_search import Search
 from pipeline.posterior.split_gibbs.state import Randomness, RegionMaterials, State, run
 from pipeline.posterior.split_gibbs.thinning import explained, thinning
 from pipeline.prior.gaussian import translated
-from pipeline.prior.protocol import LightPrior
+from pipeline.prior.protocol import Prior
 from pipeline.render.renderer import Explanation
 
 # widths of the splitting in code units, where the prior's deviation is 0.5; above FIRST, log
@@ -154,7 +154,7 @@ def gaussian_sweeps(rng: Randomness, model: Model, state: State, count: int) -> 
 
 
 def split_gibbs(
-    problem: Problem, prior: LightPrior, fit: Explanation, settings: Sample, seed: int
+    problem: Problem, prior: Prior, fit: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
     """One posterior sample; `fit` is the point estimate.
 
@@ -167,7 +167,7 @@ def split_gibbs(
 
 
 def gaussian(
-    problem: Problem, prior: LightPrior, fit: Explanation, settings: Sample, seed: int
+    problem: Problem, prior: Prior, fit: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
     """One posterior sample under the Gaussian prior `settings.search_prior`: steps 1 to 3 and 6;
     `prior` gives the size of the light only.

@@ -26,7 +26,7 @@ from pipeline.posterior.split_gibbs.state import Noise, Randomness, RegionMateri
 from pipeline.posterior.textures import gather
 from pipeline.prior.gaussian import GaussianPrior
 from pipeline.prior.load import load_prior
-from pipeline.prior.protocol import LightPrior
+from pipeline.prior.protocol import Prior
 from pipeline.prior.value_code import scale_of
 from pipeline.render.renderer import Explanation
 from pipeline.render.rows import choose_rows
@@ -55,7 +55,7 @@ class Model:
 
     data: RowData
     mixer: Mixer
-    prior: LightPrior
+    prior: Prior
     gaussian: GaussianPrior
     settings: Sample
     log_scale_centre: float
@@ -63,11 +63,11 @@ class Model:
     uv: np.ndarray
     region_map: np.ndarray
 
-    def decoder(self, prior: LightPrior, gain: float = 1.0) -> Decoder:
+    def decoder(self, prior: Prior, gain: float = 1.0) -> Decoder:
         """From codes of `prior` to what the operator acts on."""
         return Decoder.onto(prior, self.data.light_rows, gain)
 
-    def modes(self, prior: LightPrior) -> Modes:
+    def modes(self, prior: Prior) -> Modes:
         """Modes of the Gaussian prior in codes of `prior`."""
         return Modes(self.gaussian, prior, COMPONENTS, self.data.light_rows)
 
@@ -123,7 +123,7 @@ def block_weights(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def set_up(
-    problem: Problem, prior: LightPrior, fit: Explanation, settings: Sample, seed: int
+    problem: Problem, prior: Prior, fit: Explanation, settings: Sample, seed: int
 ) -> tuple[Randomness, Model, State]:
     """Step 1: random numbers, model and first state of draw `seed`; `fit` is the point estimate."""
     rng = Randomness(*generators(settings, seed))

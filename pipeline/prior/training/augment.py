@@ -41,7 +41,7 @@ def moved(env: np.ndarray, origin: np.ndarray, yaw: float) -> np.ndarray:
 def draw_view(env: np.ndarray, height: int, rng: np.random.Generator) -> np.ndarray:
     """A random view of radiance env (H, 2H, 3), H >= height, as (height, 2 height, 3)."""
     if rng.random() < 0.5:
-        env = yaw_roll(env, rng.integers(env.shape[1]))
+        env = yaw_roll(env, int(rng.integers(env.shape[1])))
     else:
         angle, radius = rng.uniform(0, 2 * np.pi), MOVE_LEVEL * np.sqrt(rng.random())
         origin = np.array(

@@ -101,7 +101,8 @@ class Data:
         """
         try:
             with np.load(cache) as file:
-                data = cls(*(file[k] for k in ("maps", "labels", "made", "held")), height)
+                maps, labels, made, held = (file[k] for k in ("maps", "labels", "made", "held"))
+                data = cls(maps, labels, made, held, height)
         except (OSError, KeyError, ValueError) as error:
             what = f"not a cache of training maps ({type(error).__name__}: {error})"
             raise InputError(what, cache, "remove it; it is made anew") from error

@@ -11,7 +11,8 @@ import json
 from pathlib import Path
 
 from pipeline.base.errors import InputError, run_stage
-from pipeline.prior.weight_files import load_parts, part_paths, save_parts
+from pipeline.prior.locate import part_paths
+from pipeline.prior.weight_files import load_parts, save_parts
 
 
 def main() -> None:

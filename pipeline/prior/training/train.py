@@ -1,7 +1,7 @@
 """Train the light prior: EDM loss (Karras et al. 2022, Eq. 8 and Table 1) weighted by solid angle
 and evenly, half each, EMA, resumable.
 
-python -m pipeline.prior.training.train --config configs/prior_small.yaml --data MAPS --catalogue CSV --minutes 60 --out RUN
+python -m pipeline.prior.training.train --config configs/prior/small.yaml --data MAPS --catalogue CSV --minutes 60 --out RUN
 
 RUN/state.pt holds all that a resumed run needs; RUN/average*.safetensors is the weight average
 alone, in parts small enough to carry between machines. Where only the average is there, training
@@ -22,10 +22,11 @@ import torch
 
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import atomic_path
+from pipeline.prior.locate import part_paths
 from pipeline.prior.network import KINDS, LABELS, SIGMA_DATA, Denoiser
 from pipeline.prior.training.data import Batches, Data, make_cache
 from pipeline.prior.training.settings import Training, load_training
-from pipeline.prior.weight_files import load_parts, part_paths, save_parts
+from pipeline.prior.weight_files import load_parts, save_parts
 from pipeline.render.envmap import solid_angles
 
 WARM_UP = 3000  # images over which the learning rate rises
