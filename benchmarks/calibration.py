@@ -30,15 +30,11 @@ from pipeline.base.files import write_json
 from pipeline.base.images import luminance
 from pipeline.base.progress import progress
 from pipeline.geometry.mesh_io import unit
-from pipeline.posterior.split_gibbs.light_draws import (
-    SLICES,
-    LightLikelihood,
-    draw_light,
-    noise_gain,
-    prior_steps,
-    widths,
-)
+from pipeline.posterior.split_gibbs.gaussian_approximation import LightLikelihood
+from pipeline.posterior.split_gibbs.light_draw import SLICES, draw_light
+from pipeline.posterior.split_gibbs.light_moves import noise_gain, prior_steps, widths
 from pipeline.posterior.split_gibbs.pooling import Whole
+from pipeline.posterior.split_gibbs.state import Randomness
 from pipeline.prior.load import load_prior
 from pipeline.prior.sampling import FIRST_SIGMA, first_noise, reverse_diffusion
 from pipeline.render.envmap import directions, sh_coefficients, solid_angles
@@ -118,10 +114,11 @@ def simulate(job: tuple) -> np.ndarray:
         x = z = fresh(draws)
         for rho in map(float, widths(levels, FIRST, LAST, 4)):
             observed.gain = noise_gain(prior.log_spread, rho)
+            pairs = [(one.reshape(3, -1), other.reshape(3, -1)) for one, other in zip(x, z)]
             z = torch.stack(
                 [
-                    draw_light(observed, *(v.reshape(3, -1) for v in pair), rho, SLICES, rng, noise)
-                    for pair in zip(x, z)
+                    draw_light(Randomness(rng, noise), observed, *pair, rho, SLICES)[0]
+                    for pair in pairs
                 ]
             )
             x = reverse_diffusion(

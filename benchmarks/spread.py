@@ -23,6 +23,7 @@ import os
 import platform
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -38,15 +39,37 @@ from pipeline.base.runtime import import_open3d, set_threads
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.geometry.mesh_io import Mesh, save_mesh, unit
 from pipeline.posterior.problem import SHADE, generators
-from pipeline.posterior.split_gibbs.light_codes import PixelCode
-from pipeline.posterior.split_gibbs.likelihood import LEVELS, Lobes, Photos, Theta
-from pipeline.posterior.split_gibbs.turns import LAST, Turns
+from pipeline.posterior.split_gibbs.light_codes import COMPONENTS, Decoder, Modes, ModeUnknowns
+from pipeline.posterior.split_gibbs.light_moves import (
+    gaussian_light,
+    noise_gain,
+    photo_light,
+    prior_light,
+    scale_of_one,
+    smooth_light,
+    split,
+    to_modes,
+    widths,
+)
+from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
+from pipeline.posterior.split_gibbs.lobes import TRACED, LobeTable
+from pipeline.posterior.split_gibbs.row_model import RowData
+from pipeline.posterior.split_gibbs.sampler import FIRST, FIRST_SWEEPS, LAST, SMOOTH
+from pipeline.posterior.split_gibbs.state import (
+    Noise,
+    Randomness,
+    RegionMaterials,
+    State,
+    run,
+)
+from pipeline.prior.gaussian import translated
 from pipeline.prior.load import load_prior
 from pipeline.prior.sampling import draw
 from pipeline.render.envmap import directions, resample_area, solid_angles
-from pipeline.render.transport import STEEP, Rows, Transport
+from pipeline.render.rows import STEEP, Rows
+from pipeline.render.transport import Transport
 
-POINTS, ERROR, COLOUR, VIEWED = 300, 0.03, 0.8, 0.35
+POINTS, ERROR, COLOR, VIEWED = 300, 0.03, 0.8, 0.35
 Y_UP = [1, 2, 0]  # the lattice begins at the last axis
 VIEWS = (1, 2, 4, 8, 16, 32)
 BLOCKS = 8  # rows of the light over which luminance is averaged
@@ -82,26 +105,38 @@ def ball(folder: Path) -> tuple[object, Path]:
 
 def photographed(
     sphere: Sphere, roughness: float, metallic: float, light: np.ndarray, size: int, rng
-) -> Photos:
-    """Photos (likelihood) of the sphere under `light` (h, 2h, 3); the operator has `size` rows."""
+) -> tuple[RowData, State]:
+    """Rows of the sphere under `light` (h, 2h, 3), and a state of its true material; the operator
+    has `size` rows.
+    """
     with tempfile.TemporaryDirectory() as folder:
         scene, path = ball(Path(folder))
         transport = Transport(scene, path, sphere, sphere.rows, size, 0, 0)
-    lobes = Lobes(
-        transport, roughness, 0, swallowed=1.0
-    )  # of metals at any roughness, as the paper's
+    # of metals at any roughness, as the paper's
+    lobes = LobeTable.trace(transport, roughness, 0, swallowed=1.0)
     n, points = len(sphere.rows.point), sphere.rows.point.max() + 1
-    photos = Photos(transport, lobes, np.ones((n, 3)), np.zeros(n, bool), np.zeros(points, int), 1)
-    photos.set(
-        Theta(np.full((1, 3), COLOUR), np.full(1, 1e-3), np.zeros(1, int), np.full(1, metallic))
+    data = RowData.plain(transport, lobes, np.ones((n, 3)), np.zeros(points, int), 1)
+    materials = RegionMaterials(
+        color=np.full((1, 3), COLOR),
+        spread=np.full(1, 1e-3),
+        roughness=np.zeros(1, int),
+        metallic=np.full(1, metallic),
     )
-    U, W = photos.predict(resample_area(light, size, 2 * size).reshape(-1, 3))
-    clean = COLOUR * U + W
-    photos.eta, photos.observed = (
-        ERROR,
-        clean + ERROR * (clean + SHADE) * rng.normal(size=clean.shape),
+    state = State(
+        code=torch.zeros(3, 0),
+        log_scale=0.0,
+        materials=materials,
+        offsets=np.zeros((2, points), int),
+        noise=Noise(ERROR, np.ones(n)),
+        color_step=np.zeros(1),
+        spread_step=np.zeros(1),
     )
-    return photos
+    U, W = RowLikelihood.of(Mixer(data), state).predict(
+        resample_area(light, size, 2 * size).reshape(-1, 3)
+    )
+    clean = COLOR * U + W
+    noisy = clean + ERROR * (clean + SHADE) * rng.normal(size=clean.shape)
+    return replace(data, observed=noisy), state
 
 
 def blocks(light: np.ndarray) -> np.ndarray:
@@ -112,18 +147,49 @@ def blocks(light: np.ndarray) -> np.ndarray:
     return out - np.average(out, weights=WEIGHT)
 
 
-def posterior(photos: Photos, prior, settings: Sample, draws: int) -> np.ndarray:
+def drawn(data: RowData, state: State, prior, settings: Sample, seed: int) -> np.ndarray:
+    """Blocks of one posterior light: the sampler's light kernels, materials and noise known."""
+    rng = Randomness(*generators(settings, seed))
+    mixer, gaussian = Mixer(data), load_prior(settings.search_prior)
+    decoder = Decoder.onto(gaussian, data.light_rows)
+    modes = Modes(gaussian, gaussian, COMPONENTS, data.light_rows)
+    unknowns = ModeUnknowns.seen(modes, gaussian.flat_mean)
+    state = replace(state, coefficients=torch.zeros(1, COMPONENTS))
+    for _ in range(FIRST_SWEEPS):
+        state = run(
+            rng,
+            state,
+            gaussian_light(mixer, decoder, unknowns),
+            scale_of_one(gaussian),
+            to_modes(unknowns),
+        )
+    code = state.code.reshape(1, 3, gaussian.height, gaussian.width)
+    state = replace(state, code=translated(code, gaussian, prior).reshape(3, -1))
+
+    decoder = Decoder.onto(prior, data.light_rows)
+    modes = Modes(gaussian, prior, COMPONENTS, data.light_rows)
+    for sigma in map(float, np.geomspace(SMOOTH, FIRST, settings.smooth)):
+        light = smooth_light(mixer, decoder, modes, sigma, settings.label)
+        state = run(rng, state, light, scale_of_one(prior))
+
+    rhos = widths(settings.levels, FIRST, LAST, settings.stay)
+    state = run(rng, state, split(float(rhos[0])))
+    for rho in map(float, rhos):
+        gained = Decoder.onto(prior, data.light_rows, noise_gain(prior.log_spread, rho))
+        state = run(
+            rng,
+            state,
+            photo_light(mixer, gained, rho),
+            prior_light(prior, rho, settings.label),
+            scale_of_one(prior),
+        )
+    return blocks(decoder.map(state.prior_code, 0.0))
+
+
+def posterior(data: RowData, state: State, prior, settings: Sample, draws: int) -> np.ndarray:
     """Blocks of `draws` posterior lights (draws, BLOCKS * 2 BLOCKS)."""
-    gaussian, out = load_prior(settings.search_prior), []
-    for seed in range(draws):
-        rng, noise = generators(settings, seed)
-        turns = Turns(photos, photos.theta.copy(), 0.0, prior, gaussian, settings, rng, noise)
-        with torch.no_grad():
-            code = turns.diffusion_turns(
-                turns.handed_over(turns.turns_with_gaussian(2)), f"draw {seed}"
-            )
-            out.append(blocks(PixelCode(photos, prior, 0.0, LAST).map(code)))
-    return np.array(out)
+    with torch.no_grad():
+        return np.array([drawn(data, state, prior, settings, seed) for seed in range(draws)])
 
 
 def facing(p: np.ndarray) -> np.ndarray:
@@ -132,10 +198,10 @@ def facing(p: np.ndarray) -> np.ndarray:
 
 
 CASES = (
-    [("roughness", r, 1.0, 16) for r in LEVELS[::2] + LEVELS[-1:]]
+    [("roughness", r, 1.0, 16) for r in TRACED[::2] + TRACED[-1:]]
     + [("roughness Lambert", 1.0, 0.0, 16)]
     + [("views", VIEWED, 1.0, v) for v in VIEWS]
-    + [("masked", LEVELS[0], 1.0, 1)]
+    + [("masked", TRACED[0], 1.0, 1)]
 )
 
 
@@ -149,10 +215,10 @@ def measure(job: tuple) -> dict:
     light = prior.decode(draw(prior, k + 1, 30, 11)[k:])[0].numpy().transpose(1, 2, 0)
     cameras = 5 * even(views)[:, Y_UP] if kind != "masked" else 5 * np.array([[0.0, 0.0, 1.0]])
     sphere = Sphere(cameras, facing) if kind == "masked" else Sphere(cameras)
-    photos = photographed(
+    data, state = photographed(
         sphere, roughness, metallic, light, settings.light, np.random.default_rng([k, 5])
     )
-    drawn, true = posterior(photos, prior, settings, draws), blocks(light)
+    drawn, true = posterior(data, state, prior, settings, draws), blocks(light)
     spread, error = drawn.std(0, ddof=1), np.abs(drawn.mean(0) - true)
     out = {
         "kind": kind,
@@ -160,7 +226,7 @@ def measure(job: tuple) -> dict:
         "metallic": metallic,
         "views": views,
         "light": k,
-        "rows": len(photos.observed),
+        "rows": len(data.observed),
         "spread": float(np.average(spread, weights=WEIGHT)),
         "error": float(np.average(error, weights=WEIGHT)),
     }

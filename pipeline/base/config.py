@@ -49,7 +49,7 @@ class Poses(Section):
     features: int = Field(4096, ge=500, le=32768, description="SIFT features per photo")
     matching: Literal["auto", "exhaustive", "sequential"] = Field(
         "auto",
-        description="auto: exhaustive up to 60 photos, then sequential with loop closure by overlap",
+        description="auto: exhaustive up to 60 photos, then sequential with quadratic overlap",
     )
     camera: Literal["auto", "single", "per_image"] = Field(
         "auto", description="auto: one camera if sizes and EXIF agree"
@@ -118,14 +118,14 @@ class Observe(Section):
 
 
 class Render(Section):
-    """The forward model shared by fit, sample and refine."""
+    """The forward model of fit, sample and refine."""
 
     max_depth: int = Field(
         4,
         ge=2,
         le=16,
-        description="path vertices after the camera (Mitsuba's max_depth): 4 = "
-        "light after up to 3 surface interactions",
+        description="path vertices after the camera (Mitsuba's max_depth): "
+        "4 = light after up to 3 surface interactions",
     )
     light_height: int = Field(
         32, ge=4, le=512, description="rows of the lat-long light; columns are twice that"
@@ -155,7 +155,7 @@ class Fit(Section):
 class Sample(Section):
     """Posterior samples of light and materials."""
 
-    method: str = Field("split_gibbs", description="a key of pipeline.posterior.SAMPLERS")
+    method: str = Field("split_gibbs", description="a key of pipeline.posterior.samplers.SAMPLERS")
     prior: str = Field(
         "prior_base", description="a file stem under weights/, or a path to .safetensors"
     )
@@ -178,7 +178,7 @@ class Sample(Section):
         32,
         ge=4,
         le=128,
-        description="split_gibbs: rows of the light that the operator resolves; divides the prior's",
+        description="split_gibbs: rows of the light in the operator; divides the prior's rows",
     )
     search_prior: str = Field(
         "gaussian_small", description="split_gibbs: Gaussian prior of the search's light"
@@ -265,12 +265,11 @@ def read_yaml(path: Path) -> dict:
 def merge(base: dict, over: dict) -> dict:
     """`over` on top of `base`, section by section."""
     out = dict(base)
+
     for key, value in over.items():
-        out[key] = (
-            merge(out[key], value)
-            if isinstance(value, dict) and isinstance(out.get(key), dict)
-            else value
-        )
+        both_are_sections = isinstance(value, dict) and isinstance(out.get(key), dict)
+        out[key] = merge(out[key], value) if both_are_sections else value
+
     return out
 
 
@@ -281,6 +280,7 @@ def _explain(error: ValidationError, path, model: type[Section]) -> InputError:
         return InputError(
             f"{key}: {first['msg']} (it is {first.get('input')!r})", path, f"correct {key}"
         )
+
     for part in first["loc"][:-1]:
         model = model.model_fields[part].annotation
     return InputError(
@@ -304,6 +304,7 @@ def parse_scene(own: dict, path) -> Scene:
             path,
             nearest(str(preset), [p.stem for p in PRESET_FOLDER.glob("*.yaml")]),
         )
+
     return validated(Scene, merge(read_yaml(file), own), path)
 
 

@@ -16,7 +16,10 @@ class InputError(Exception):
     """
 
     def __init__(self, what: str, where: str | Path | None = None, cure: str | None = None):
-        self.what, self.where, self.cure = what, where, cure
+        self.what = what
+        self.where = where
+        self.cure = cure
+
         parts = [what if where is None else f"{where}: {what}"]
         if cure:
             parts.append(f"  what to do: {cure}")

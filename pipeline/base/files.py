@@ -42,6 +42,7 @@ def atomic_path(path: str | Path):
     """
     path = Path(path)
     _writable_parent(path)
+
     temporary = path.with_name(f".partial-{path.name}")
     try:
         yield temporary
@@ -55,6 +56,7 @@ def stage_folder(path: str | Path):
     """As `atomic_path`, for a folder: the old content stays in place until the new is complete."""
     path = Path(path)
     _writable_parent(path)
+
     temporary = path.with_name(f".partial-{path.name}")
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir()
@@ -100,8 +102,8 @@ def read_json(path: str | Path):
 
 
 def json_entry(path: str | Path, key: str):
-    """One entry of a stage's JSON; an InputError where an earlier version, which did not write it,
-    ran the stage.
+    """One entry of a stage's JSON. Raises InputError where the entry is missing because an earlier
+    version, which did not write it, ran the stage.
     """
     found = read_json(path)
     if key not in found:

@@ -13,6 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.files import atomic_path
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec.709 primaries
+LARGEST_HALF = 65504  # largest finite float16
 
 
 def srgb_to_linear(x: np.ndarray) -> np.ndarray:
@@ -39,6 +40,18 @@ def luminance(rgb: np.ndarray) -> np.ndarray:
 def to_srgb8(linear: np.ndarray) -> np.ndarray:
     """Linear radiance -> 8-bit sRGB for viewing."""
     return (linear_to_srgb(linear) * 255 + 0.5).astype(np.uint8)
+
+
+def in_rows(tiles: list[np.ndarray], columns: int) -> np.ndarray:
+    """Contact sheet of pictures (h, w, 3) uint8 of one height, `columns` in a row; narrower tiles
+    and the last row are filled up with black.
+    """
+    width = max(t.shape[1] for t in tiles)
+    tiles = [np.pad(t, ((0, 0), (0, width - t.shape[1]), (0, 0))) for t in tiles]
+    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
+
+    rows = [np.concatenate(tiles[k : k + columns], 1) for k in range(0, len(tiles), columns)]
+    return np.concatenate(rows)
 
 
 def read_exr(path: str | Path) -> np.ndarray:
@@ -69,9 +82,11 @@ def write_exr(path: str | Path, pixels: np.ndarray, half: bool = False) -> None:
     pixels = np.asarray(pixels, np.float32)
     if not np.isfinite(pixels).all():
         raise ValueError(f"{path}: refusing to write NaN or infinity")
-    pixels = np.ascontiguousarray(
-        np.clip(pixels, -65504, 65504).astype(np.float16) if half else pixels
-    )
+
+    if half:
+        pixels = np.clip(pixels, -LARGEST_HALF, LARGEST_HALF).astype(np.float16)
+    pixels = np.ascontiguousarray(pixels)
+
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic_path(path) as temporary:
         with OpenEXR.File(header, {"RGB" if pixels.ndim == 3 else "Y": pixels}) as file:
@@ -82,9 +97,9 @@ def read_png(path: str | Path) -> np.ndarray:
     """8-bit image as uint8 (h, w, 3) or (h, w) for grey."""
     try:
         with Image.open(path) as image:
-            return np.asarray(
-                image if image.mode == "L" else image.convert("L" if image.mode in "1I" else "RGB")
-            )
+            if image.mode == "L":
+                return np.asarray(image)
+            return np.asarray(image.convert("L" if image.mode in "1I" else "RGB"))
     except OSError as error:
         raise InputError(f"not a readable image ({error})", path, "replace the file") from error
 

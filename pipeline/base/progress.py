@@ -7,12 +7,11 @@ import time
 
 
 def _clock(seconds: float) -> str:
+    """[h:]m:ss"""
     minutes, rest = divmod(int(seconds + 0.5), 60)
-    return (
-        f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
-        if minutes >= 60
-        else f"{minutes}:{rest:02d}"
-    )
+    if minutes >= 60:
+        return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
+    return f"{minutes}:{rest:02d}"
 
 
 class Bar:
@@ -21,9 +20,12 @@ class Bar:
     """
 
     def __init__(self, label: str, total: int, interval: float | None = None):
-        self.label, self.total, self.done = label, total, 0
-        self.tty = sys.stderr.isatty()
-        self.interval = interval if interval is not None else (0.2 if self.tty else 5.0)
+        self.label = label
+        self.total = total
+        self.done = 0
+
+        self.terminal = sys.stderr.isatty()
+        self.interval = interval if interval is not None else (0.2 if self.terminal else 5.0)
         self.start = self.last = time.monotonic()
 
     def __enter__(self):
@@ -40,19 +42,22 @@ class Bar:
     def _write(self, note: str, final: bool = False) -> None:
         self.last = time.monotonic()
         spent = self.last - self.start
-        left = spent / self.done * (self.total - self.done) if self.done else None
-        time_left = (
-            f"took {_clock(spent)}"
-            if final
-            else f"{_clock(left) if left is not None else '?'} left"
-        )
+
+        if final:
+            time_left = f"took {_clock(spent)}"
+        elif self.done:
+            time_left = f"{_clock(spent / self.done * (self.total - self.done))} left"
+        else:
+            time_left = "? left"
+
         filled = int(20 * self.done / max(self.total, 1))
-        bar = f"[{'#' * filled}{'.' * (20 - filled)}] " if self.tty else ""
-        line = (
-            f"{self.label}: {bar}{self.done}/{self.total}, {time_left}{'  ' + note if note else ''}"
-        )
-        end = "\n" if final or not self.tty else ""
-        print(("\r\033[K" if self.tty else "") + line, end=end, file=sys.stderr, flush=True)
+        bar = f"[{'#' * filled}{'.' * (20 - filled)}] " if self.terminal else ""
+        remark = f"  {note}" if note else ""
+        line = f"{self.label}: {bar}{self.done}/{self.total}, {time_left}{remark}"
+
+        start_of_line = "\r\033[K" if self.terminal else ""
+        end = "\n" if final or not self.terminal else ""
+        print(start_of_line + line, end=end, file=sys.stderr, flush=True)
 
 
 def progress(iterable, label: str, total: int | None = None):

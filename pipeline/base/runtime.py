@@ -1,9 +1,9 @@
 """The run-time surroundings: LLVM for Dr.Jit, libusb for Open3D, threads. Imported before mitsuba,
 always.
 
-Dr.Jit's LLVM back-end loads libLLVM at run time; the PyPI package `karellen-llvm-core` puts a
-recent one into the environment's prefix, so no system package and no root is needed (LLVM 14/15
-abort: design note `method.md` section 7). Open3D links against the system library libusb-1.0; the
+Dr.Jit's LLVM back-end loads libLLVM at run time. The PyPI package `karellen-llvm-core` puts a
+recent one into the environment's prefix, so no system package and no root is needed. The versions
+14 and 15, which a system may have, abort. Open3D links against the system library libusb-1.0; the
 PyPI package `libusb-package` ships the same library, and loading it first satisfies the dynamic
 linker.
 """
@@ -57,26 +57,20 @@ def _load_mitsuba():
 
 
 def __getattr__(name: str):
-    """`from pipeline.runtime import mitsuba` and `import_open3d` load on first use: both take a
-    second or more.
-    """
+    """`from pipeline.base.runtime import mitsuba` loads Mitsuba on first use: it takes a second."""
     if name == "mitsuba":
         globals()[name] = _load_mitsuba()
         return globals()[name]
     raise AttributeError(name)
 
 
-def mitsuba_rays(o, d):
+def mitsuba_rays(origins, directions):
     """Mitsuba rays of origins and directions (n, 3)."""
     import numpy as np
 
     mi = importlib.import_module(__name__).mitsuba
-    return mi.Ray3f(
-        *(
-            kind(np.ascontiguousarray(v.T, np.float32))
-            for kind, v in ((mi.Point3f, o), (mi.Vector3f, d))
-        )
-    )
+    columns = lambda rows: np.ascontiguousarray(rows.T, np.float32)
+    return mi.Ray3f(mi.Point3f(columns(origins)), mi.Vector3f(columns(directions)))
 
 
 def import_open3d():
@@ -122,6 +116,7 @@ def set_threads(count: int) -> None:
     ):
         os.environ[variable] = str(count)
     threadpool_limits(count)
+
     if "mitsuba" in sys.modules:
         import drjit
 

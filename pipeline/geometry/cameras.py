@@ -1,8 +1,8 @@
 """Pinhole cameras. Library frame: right-handed, Y-up. Camera axes: OpenCV (x right, y down, z
 forward).
 
-Letters: K (3, 3) intrinsics in pixels, pixel centres at +0.5; W (4, 4) world-to-camera; o, d ray
-origin and direction.
+Letters: K (3, 3) intrinsics in pixels, pixel centres at +0.5; uv (..., 2) pixel coordinates; o, d
+(..., 3) origins and unit directions of rays.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json, write_json
 
-Y_FROM_Z_UP = np.array(
-    [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]]
-)  # (x, y, z) -> (x, z, -y)
+# (x, y, z) -> (x, z, -y)
+Y_FROM_Z_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -47,16 +46,18 @@ class View:
 
     def scaled(self, factor: float) -> View:
         """The same view at round(width * factor) pixels; intrinsics follow the exact ratios."""
-        w, h = max(1, round(self.width * factor)), max(1, round(self.height * factor))
-        sx, sy = w / self.width, h / self.height
+        width = max(1, round(self.width * factor))
+        height = max(1, round(self.height * factor))
+        ratio_x = width / self.width
+        ratio_y = height / self.height
         return replace(
             self,
-            width=w,
-            height=h,
-            fx=self.fx * sx,
-            fy=self.fy * sy,
-            cx=self.cx * sx,
-            cy=self.cy * sy,
+            width=width,
+            height=height,
+            fx=self.fx * ratio_x,
+            fy=self.fy * ratio_y,
+            cx=self.cx * ratio_x,
+            cy=self.cy * ratio_y,
         )
 
     def project(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -64,20 +65,18 @@ class View:
         (...).
         """
         p = xyz @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
-        z = np.where(np.abs(p[..., 2]) < 1e-12, 1e-12, p[..., 2])
-        uv = np.stack([self.fx * p[..., 0] / z + self.cx, self.fy * p[..., 1] / z + self.cy], -1)
-        return uv, p[..., 2]
+        depth = p[..., 2]
+        divisor = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+
+        u = self.fx * p[..., 0] / divisor + self.cx
+        v = self.fy * p[..., 1] / divisor + self.cy
+        return np.stack([u, v], -1), depth
 
     def rays(self, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixel coordinates (..., 2) -> origins and unit directions (..., 3) in the world frame."""
-        d = np.stack(
-            [
-                (uv[..., 0] - self.cx) / self.fx,
-                (uv[..., 1] - self.cy) / self.fy,
-                np.ones(uv.shape[:-1]),
-            ],
-            -1,
-        )
+        x = (uv[..., 0] - self.cx) / self.fx
+        y = (uv[..., 1] - self.cy) / self.fy
+        d = np.stack([x, y, np.ones(uv.shape[:-1])], -1)
         d = (d / np.linalg.norm(d, axis=-1, keepdims=True)) @ self.world_to_camera[:3, :3]
         return np.broadcast_to(self.position, d.shape), d
 

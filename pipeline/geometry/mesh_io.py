@@ -31,9 +31,9 @@ def unit(v: np.ndarray) -> np.ndarray:
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Area-weighted unit normals (n, 3)."""
-    cross = np.cross(
-        vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
-    )
+    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
+    cross = np.cross(second - first, third - first)  # twice the face's area long
+
     out = np.zeros_like(vertices, dtype=float)
     for corner in range(3):
         np.add.at(out, faces[:, corner], cross)
@@ -41,13 +41,17 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def normal_wobble(mesh: Mesh) -> float:
-    """Median angle (radians) between a vertex's normal and its neighbours' mean: of even curvature
+    """Median angle (radians) between a vertex's normal and its neighbours' mean. Of even curvature
     it is 0, of noise the noise's own size.
     """
-    i, j = mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel()
-    edges = sparse.coo_matrix((np.ones(len(i), bool), (i, j)), (len(mesh.vertices),) * 2).tocsr()
+    one_end = mesh.faces.ravel()
+    other_end = np.roll(mesh.faces, 1, axis=1).ravel()
+    linked = np.ones(len(one_end), bool)
+    edges = sparse.coo_matrix((linked, (one_end, other_end)), (len(mesh.vertices),) * 2).tocsr()
+
     mean = unit((edges + edges.T) @ mesh.normals)
-    return float(np.median(np.arccos(np.clip((mean * mesh.normals).sum(1), -1, 1))))
+    cosine = (mean * mesh.normals).sum(1)
+    return float(np.median(np.arccos(np.clip(cosine, -1, 1))))
 
 
 def sample_surface(
@@ -57,21 +61,21 @@ def sample_surface(
     corners = mesh.vertices[mesh.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
+
     face = rng.choice(len(area), count, p=area / area.sum())
-    b = np.sort(rng.random((count, 2)), axis=1)
-    where = np.einsum(
-        "nk,nkc->nc", np.stack([b[:, 0], b[:, 1] - b[:, 0], 1 - b[:, 1]], -1), corners[face]
-    )
+    low, high = np.sort(rng.random((count, 2)), axis=1).T
+    barycentric = np.stack([low, high - low, 1 - high], -1)
+    where = np.einsum("nk,nkc->nc", barycentric, corners[face])
     return where, cross[face] / np.maximum(area[face], 1e-20)[:, None]
 
 
 def load_mesh(path: str | Path) -> Mesh:
-    """Read a PLY or OBJ with whatever normals and texture coordinates it has (read by Mitsuba's
-    loaders).
+    """Read a PLY or OBJ by Mitsuba's loaders, with the texture coordinates that it has; normals
+    that it lacks are computed. Raises InputError for a missing or unreadable file.
     """
-    path = Path(path)
     from pipeline.base.runtime import mitsuba as mi
 
+    path = Path(path)
     if not path.exists():
         raise InputError(
             "the mesh does not exist", path, "run the stage that makes it, or correct the path"
@@ -84,19 +88,16 @@ def load_mesh(path: str | Path) -> Mesh:
         raise InputError(
             f"not a readable mesh ({error})", path, "export it as binary PLY or OBJ with triangles"
         ) from error
-    get = lambda key, k, kind: np.array(mi.traverse(loaded)[key], kind).reshape(-1, k)
-    vertices, faces = get("vertex_positions", 3, np.float64), get("faces", 3, np.int64)
-    normals = (
-        get("vertex_normals", 3, np.float64)
-        if loaded.has_vertex_normals()
-        else vertex_normals(vertices, faces)
-    )
-    return Mesh(
-        vertices,
-        faces,
-        normals,
-        get("vertex_texcoords", 2, np.float64) if loaded.has_vertex_texcoords() else None,
-    )
+
+    table = lambda key, columns, kind: np.array(mi.traverse(loaded)[key], kind).reshape(-1, columns)
+    vertices = table("vertex_positions", 3, np.float64)
+    faces = table("faces", 3, np.int64)
+    if loaded.has_vertex_normals():
+        normals = table("vertex_normals", 3, np.float64)
+    else:
+        normals = vertex_normals(vertices, faces)
+    uv = table("vertex_texcoords", 2, np.float64) if loaded.has_vertex_texcoords() else None
+    return Mesh(vertices, faces, normals, uv)
 
 
 def save_mesh(path: str | Path, mesh: Mesh) -> None:
@@ -107,22 +108,23 @@ def save_mesh(path: str | Path, mesh: Mesh) -> None:
 
 
 def _write_ply(path: Path, mesh: Mesh) -> None:
-    columns = [mesh.vertices, mesh.normals] + ([mesh.uv] if mesh.uv is not None else [])
-    names = ["x", "y", "z", "nx", "ny", "nz"] + (["u", "v"] if mesh.uv is not None else [])
+    columns = [mesh.vertices, mesh.normals]
+    names = ["x", "y", "z", "nx", "ny", "nz"]
+    if mesh.uv is not None:
+        columns.append(mesh.uv)
+        names += ["u", "v"]
+
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.vertices)}"]
-    header += [f"property float {n}" for n in names]
-    header += [
-        f"element face {len(mesh.faces)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
-    faces = np.empty(len(mesh.faces), [("n", "u1"), ("i", "<i4", 3)])
-    faces["n"], faces["i"] = 3, mesh.faces
-    path.write_bytes(
-        ("\n".join(header) + "\n").encode()
-        + np.concatenate(columns, 1).astype("<f4").tobytes()
-        + faces.tobytes()
-    )
+    header += [f"property float {name}" for name in names]
+    header.append(f"element face {len(mesh.faces)}")
+    header.append("property list uchar int vertex_indices")
+    header.append("end_header")
+    head = ("\n".join(header) + "\n").encode()
+
+    faces = np.empty(len(mesh.faces), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"] = 3
+    faces["corners"] = mesh.faces
+    path.write_bytes(head + np.concatenate(columns, 1).astype("<f4").tobytes() + faces.tobytes())
 
 
 def _write_obj(path: Path, mesh: Mesh) -> None:

@@ -13,6 +13,9 @@ import numpy as np
 
 from pipeline.geometry.cameras import View
 
+ROW = 16384  # points that one row of a look-up holds
+OUTSIDE = -1e6  # pixel coordinate of points that are not in the frame
+
 
 @dataclass
 class Grid:
@@ -24,10 +27,10 @@ class Grid:
 
     @classmethod
     def over(cls, low: np.ndarray, high: np.ndarray, longest: int) -> Grid:
+        """The box from `low` to `high` (3,) with `longest` cells along its longest side."""
         cell = float((high - low).max() / longest)
-        return cls(
-            np.asarray(low, float), cell, tuple(int(np.ceil(s / cell - 1e-9)) for s in high - low)
-        )
+        shape = tuple(int(np.ceil(side / cell - 1e-9)) for side in high - low)
+        return cls(np.asarray(low, float), cell, shape)
 
     def centers(self) -> np.ndarray:
         """(n, 3) cell centres in C order."""
@@ -38,26 +41,25 @@ class Grid:
 def sample(
     view: View, image: np.ndarray, points: np.ndarray, interpolate: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values of `image` (any scale of the view) where points (n, 3) project, and which points lie
-    inside the frame.
+    """Values (n,) or (n, channels) of `image` (any scale of the view) where points (n, 3) project,
+    and which points lie inside the frame (n,).
     """
     uv, depth = view.project(points)
     h, w = image.shape[:2]
-    x, y = uv[:, 0] * w / view.width - 0.5, uv[:, 1] * h / view.height - 0.5
+    x = uv[:, 0] * w / view.width - 0.5
+    y = uv[:, 1] * h / view.height - 0.5
     inside = (depth > 0) & (x >= -0.5) & (y >= -0.5) & (x <= w - 0.5) & (y <= h - 0.5)
+
+    # as a picture of rows: cv2.remap limits each side to 32767
+    rows = int(np.ceil(len(points) / ROW))
+    maps = np.full((2, rows * ROW), OUTSIDE, np.float32)
+    maps[0, : len(points)] = np.where(inside, x, OUTSIDE)
+    maps[1, : len(points)] = np.where(inside, y, OUTSIDE)
     mode = cv2.INTER_LINEAR if interpolate else cv2.INTER_NEAREST
-    rows = int(np.ceil(len(points) / 16384))  # cv2.remap limits each side to 32767
-    padded = np.full((2, rows * 16384), -1e6, np.float32)
-    padded[0, : len(points)], padded[1, : len(points)] = (
-        np.where(inside, x, -1e6),
-        np.where(inside, y, -1e6),
-    )
-    values = cv2.remap(
-        image, *padded.reshape(2, rows, 16384), mode, borderMode=cv2.BORDER_REPLICATE
-    )
-    return values.reshape(rows * 16384, -1)[: len(points)].squeeze(
-        -1
-    ) if image.ndim == 2 else values.reshape(rows * 16384, image.shape[2])[: len(points)], inside
+    values = cv2.remap(image, *maps.reshape(2, rows, ROW), mode, borderMode=cv2.BORDER_REPLICATE)
+
+    values = values.reshape(rows * ROW, *image.shape[2:])
+    return values[: len(points)], inside
 
 
 def silhouette(view: View, points: np.ndarray, cell: float, size: tuple[int, int]) -> np.ndarray:
@@ -66,14 +68,18 @@ def silhouette(view: View, points: np.ndarray, cell: float, size: tuple[int, int
     """
     w, h = size
     uv, depth = view.project(points)
-    x, y = (uv[:, 0] * w / view.width).astype(int), (uv[:, 1] * h / view.height).astype(int)
-    ok = (depth > 0) & (x >= 0) & (y >= 0) & (x < w) & (y < h)
+    x = (uv[:, 0] * w / view.width).astype(int)
+    y = (uv[:, 1] * h / view.height).astype(int)
+    inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < w) & (y < h)
+
     out = np.zeros((h, w), np.uint8)
-    if not ok.any():
+    if not inside.any():
         return out.astype(bool)
-    out[y[ok], x[ok]] = 1
-    radius = int(np.ceil(0.75 * cell * view.fx * w / view.width / np.median(depth[ok])))
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
-    return cv2.morphologyEx(out, cv2.MORPH_CLOSE, kernel, borderValue=0).astype(bool) | cv2.dilate(
-        out, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (max(radius, 1),) * 2)
-    ).astype(bool)
+    out[y[inside], x[inside]] = 1
+
+    # a cube's picture is a disc; gaps between the discs are closed
+    radius = int(np.ceil(0.75 * cell * view.fx * w / view.width / np.median(depth[inside])))
+    wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
+    narrow = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (max(radius, 1),) * 2)
+    closed = cv2.morphologyEx(out, cv2.MORPH_CLOSE, wide, borderValue=0).astype(bool)
+    return closed | cv2.dilate(out, narrow).astype(bool)

@@ -12,11 +12,12 @@ from pipeline.geometry.voxels import Grid, sample, silhouette
 
 
 def vote(rig: Rig, masks: dict, grid: Grid, names=None) -> tuple[np.ndarray, np.ndarray]:
-    """Per cell: in how many views it lies inside the mask, and in how many it is in the frame.
-    (n,), (n,)
+    """Per cell (n,): in how many views it lies inside the mask, and in how many it is in the
+    frame. `names`: the views that count; None: all.
     """
     points = grid.centers()
-    inside, seen = np.zeros(len(points), np.int32), np.zeros(len(points), np.int32)
+    inside = np.zeros(len(points), np.int32)
+    seen = np.zeros(len(points), np.int32)
     for v in rig.views:
         if names is not None and v.name not in names:
             continue
@@ -34,16 +35,18 @@ def hull_points(
 
     Two passes: over the scene's sphere, then over what the first pass found.
     """
-    low, high = rig.center - rig.radius, rig.center + rig.radius
+    low = rig.center - rig.radius
+    high = rig.center + rig.radius
     for _ in range(2):
         grid = Grid.over(low, high, longest)
         inside, seen = vote(rig, masks, grid)
-        kept = grid.centers()[
-            (inside >= (1 - tolerance) * seen) & (seen >= max(2, 0.5 * len(rig.views)))
-        ]
+        often_seen = seen >= max(2, 0.5 * len(rig.views))
+        kept = grid.centers()[(inside >= (1 - tolerance) * seen) & often_seen]
         if not len(kept):
             return kept, grid.cell
-        low, high = kept.min(0) - 2 * grid.cell, kept.max(0) + 2 * grid.cell
+
+        low = kept.min(0) - 2 * grid.cell
+        high = kept.max(0) + 2 * grid.cell
     return kept, grid.cell
 
 
@@ -56,10 +59,9 @@ def agreement(rig: Rig, masks: dict) -> dict[str, dict]:
     for v in rig.views:
         mask = masks[v.name]
         size = (max(1, v.width // 2), max(1, v.height // 2))
-        small = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(
-            bool
-        )
+        small = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         hull = silhouette(v, points, cell, size) if len(points) else np.zeros_like(small)
+
         union = (small | hull).sum()
         iou = float((small & hull).sum() / union) if union else 0.0
         out[v.name] = {"confidence": iou, "carve": bool(iou >= 0.6)}

@@ -2,11 +2,16 @@
 by all views.
 
 1. Warp every photo onto the ground plane; the median over views is the ground without the object,
-   shadows included,
-   because they do not move. 2. What differs from it, above 1.6 times the 95th percentile of the
-   differences outside the object's sphere, is object; rays that miss the known ground say nothing.
-   3. A soft visual hull turns that evidence into one volume. 4. GrabCut (Rother et al. 2004)
-   between hull and background, twice, the second time with the hull of the first masks.
+   shadows included, because they do not move.
+2. What differs from it, above 1.6 times the 95th percentile of the differences outside the object's
+   sphere, is object; rays that miss the known ground say nothing.
+3. A soft visual hull turns these log-odds into one volume.
+4. GrabCut (Rother et al. 2004) between hull and background, twice, the second time with the hull of
+   the first masks.
+
+Frame: Y-up, ground at y = height. Arrays: lab, a photo in CIELAB (h, w, 3); ground (t, t, 3) and
+spread (t, t), the ground's colour and how much it changes from view to view, t = TEXTURE; odds,
+log-odds (h, w) in [-3, 3] that a pixel shows the object.
 """
 
 from __future__ import annotations
@@ -29,6 +34,8 @@ from pipeline.masks.agreement import hull_points
 WORKING = 600  # long side in pixels
 TEXTURE = 512  # texels along the ground's side
 EXTENT = 3.5  # half-side of the known ground in object radii
+UNKNOWN = 99  # spread of ground that too few views have seen
+CURE = "put masks into the scene's folder masks/"
 
 
 def to_lab(path: Path, size: tuple[int, int]) -> np.ndarray:
@@ -55,24 +62,27 @@ def bare_ground(
     for k, v in enumerate(rig.views):
         value, inside = sample(v, labs[v.name], points, interpolate=True)
         stack[k, inside] = value[inside]
-    seen = np.isfinite(stack[..., 0]).sum(0)
-    median, spread = _median_and_spread(stack, seen)
-    steep = np.argsort(
-        [-v.position[1] / np.linalg.norm(v.position - rig.center) for v in rig.views]
-    )
-    steep = stack[
-        steep[: max(6, round(0.35 * len(rig.views)))]
-    ]  # from above, little ground hides behind the object
+    median, spread, seen = _median_and_spread(stack)
+
+    # seen from above, little ground hides behind the object: these views count alone where they can
+    flatness = [-v.position[1] / np.linalg.norm(v.position - rig.center) for v in rig.views]
+    steep = stack[np.argsort(flatness)[: max(6, round(0.35 * len(rig.views)))]]
     enough = np.isfinite(steep[..., 0]).sum(0) >= 4
-    better = _median_and_spread(steep[:, enough], np.isfinite(steep[:, enough, 0]).sum(0))
-    median[enough], spread[enough] = better
-    median[seen < 4], spread[seen < 4] = np.nan, np.nan
+    median[enough], spread[enough], _ = _median_and_spread(steep[:, enough])
+
+    median[seen < 4] = np.nan
+    spread[seen < 4] = np.nan
     return median.reshape(TEXTURE, TEXTURE, 3), spread.reshape(TEXTURE, TEXTURE)
 
 
-def _median_and_spread(stack: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _median_and_spread(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Over views (v, n, 3), NaN where one does not look: median (n, 3), median of the largest
+    channel's distance from it (n,), and how many views look (n,).
+    """
+    seen = np.isfinite(stack[..., 0]).sum(0)
     median = _median(stack, seen)
-    return median, _median(np.abs(stack - median).max(-1, keepdims=True), seen)[:, 0]
+    distance = np.abs(stack - median).max(-1, keepdims=True)
+    return median, _median(distance, seen)[:, 0], seen
 
 
 def _median(stack: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -80,36 +90,44 @@ def _median(stack: np.ndarray, seen: np.ndarray) -> np.ndarray:
     np.nanmedian.
     """
     ordered = np.sort(stack, axis=0)  # NaN sorts last
-    return np.take_along_axis(ordered, np.maximum(seen - 1, 0)[None, :, None] // 2, 0)[0]
+    middle = np.maximum(seen - 1, 0)[None, :, None] // 2
+    return np.take_along_axis(ordered, middle, 0)[0]
+
+
+def pixel_rays(view: View, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and unit directions (h, w, 3) through the pixels of a view scaled to (w, h)."""
+    w, h = size
+    columns = (np.arange(w) + 0.5) * view.width / w
+    rows = (np.arange(h) + 0.5) * view.height / h
+    u, v = np.meshgrid(columns, rows)
+    return view.rays(np.stack([u, v], -1))
+
+
+def texture_coordinates(points: np.ndarray, rig: Rig) -> np.ndarray:
+    """Column and row (..., 2), not rounded, of points (..., 3) in the ground's texture."""
+    at = (points[..., [0, 2]] - rig.center[[0, 2]]) / (EXTENT * rig.radius)
+    return (at + 1) / 2 * (TEXTURE - 1)
 
 
 def pixel_ground(view: View, rig: Rig, height: float, size) -> np.ndarray:
     """Texture coordinates (h, w, 2) of where each pixel's ray meets the ground; NaN where it does
     not.
     """
-    w, h = size
-    u, v = np.meshgrid(
-        (np.arange(w) + 0.5) * view.width / w, (np.arange(h) + 0.5) * view.height / h
-    )
-    o, d = view.rays(np.stack([u, v], -1))
-    t = np.where(d[..., 1] < -1e-4, (height - o[..., 1]) / np.minimum(d[..., 1], -1e-4), np.nan)
-    p = o + t[..., None] * d
-    at = (p[..., [0, 2]] - rig.center[[0, 2]]) / (EXTENT * rig.radius)
-    at = (at + 1) / 2 * (TEXTURE - 1)
+    o, d = pixel_rays(view, size)
+    downward = d[..., 1] < -1e-4
+    distance = np.where(downward, (height - o[..., 1]) / np.minimum(d[..., 1], -1e-4), np.nan)
+    at = texture_coordinates(o + distance[..., None] * d, rig)
     within = ((at >= 0) & (at <= TEXTURE - 1)).all(-1, keepdims=True)
     return np.where(within, at, np.nan).astype(np.float32)
 
 
 def sphere_region(view: View, rig: Rig, size) -> np.ndarray:
     """Pixels (h, w) whose ray passes within 1.1 radii of the object's centre."""
-    w, h = size
-    u, v = np.meshgrid(
-        (np.arange(w) + 0.5) * view.width / w, (np.arange(h) + 0.5) * view.height / h
-    )
-    o, d = view.rays(np.stack([u, v], -1))
-    to = rig.center - o
-    along = (to * d).sum(-1)
-    return np.sqrt(np.maximum((to**2).sum(-1) - along**2, 0)) < 1.1 * rig.radius
+    o, d = pixel_rays(view, size)
+    to_center = rig.center - o
+    along = (to_center * d).sum(-1)
+    across = np.sqrt(np.maximum((to_center**2).sum(-1) - along**2, 0))
+    return across < 1.1 * rig.radius
 
 
 def footprint(rig: Rig, points: np.ndarray, cell: float, spread: np.ndarray) -> np.ndarray:
@@ -118,20 +136,33 @@ def footprint(rig: Rig, points: np.ndarray, cell: float, spread: np.ndarray) -> 
 
     Told from bare ground between parts of the object by colours that change from view to view.
     """
-    at = (points[:, [0, 2]] - rig.center[[0, 2]]) / (EXTENT * rig.radius)
-    column, row = np.clip(((at + 1) / 2 * (TEXTURE - 1)).round().astype(int), 0, TEXTURE - 1).T
+    at = texture_coordinates(points, rig).round().astype(int)
+    column, row = np.clip(at, 0, TEXTURE - 1).T
     out = np.zeros((TEXTURE, TEXTURE), bool)
     out[row, column] = True
+
     texel = 2 * EXTENT * rig.radius / TEXTURE
     out = grow(ndimage.binary_closing(out, iterations=int(np.ceil(cell / texel)) + 1), 2)
+
     bare = np.nanmedian(spread[~out]) if np.isfinite(spread[~out]).any() else 3.0
-    changing = cv2.medianBlur(np.nan_to_num(spread, nan=99).astype(np.float32), 5) > max(
-        2.0 * bare, 5.0
-    )
-    return out & changing
+    smooth = cv2.medianBlur(np.nan_to_num(spread, nan=UNKNOWN).astype(np.float32), 5)
+    return out & (smooth > max(2.0 * bare, 5.0))
 
 
-def evidence(
+def _difference(lab: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """Colour difference (h, w) of a photo to the ground as this view would see it (h, w, 3);
+    lightness counts less than hue, and a pixel of misregistration is tolerated.
+    """
+    out = np.full(lab.shape[:2], np.inf, np.float32)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            shifted = np.roll(ground, (dy, dx), (0, 1))
+            weighted = (lab - shifted) * [0.7, 1.3, 1.3]
+            out = np.minimum(out, np.sqrt((weighted**2).sum(-1)))
+    return out
+
+
+def object_odds(
     view: View, rig: Rig, lab: np.ndarray, ground, spread, height: float, below=None
 ) -> np.ndarray:
     """Log-odds (h, w) in [-3, 3] that a pixel shows the object, from its difference to the bare
@@ -142,63 +173,70 @@ def evidence(
     size = lab.shape[1::-1]
     at = pixel_ground(view, rig, height, size)
     known = np.isfinite(at[..., 0])
-    x, y = np.where(known, at[..., 0], -1), np.where(known, at[..., 1], -1)
+    x = np.where(known, at[..., 0], -1)
+    y = np.where(known, at[..., 1], -1)
+    seen = lambda texture: cv2.remap(texture, x, y, cv2.INTER_LINEAR)
+
     hole = np.isnan(ground[..., 0])
-    there = cv2.remap(np.where(hole[..., None], 0, ground), x, y, cv2.INTER_LINEAR)
-    unsure = cv2.remap(np.where(hole, 99, spread), x, y, cv2.INTER_LINEAR)
-    unknown = cv2.remap(hole.astype(np.float32), x, y, cv2.INTER_LINEAR) > 0
-    known &= ~unknown
-    difference = np.full(lab.shape[:2], np.inf, np.float32)
-    for dy in (-1, 0, 1):  # tolerate a pixel of misregistration
-        for dx in (-1, 0, 1):
-            shifted = np.roll(there, (dy, dx), (0, 1))
-            difference = np.minimum(
-                difference, np.sqrt((((lab - shifted) * [0.7, 1.3, 1.3]) ** 2).sum(-1))
-            )
+    unsure = seen(np.where(hole, UNKNOWN, spread))
+    known &= ~(seen(hole.astype(np.float32)) > 0)
+    difference = _difference(lab, seen(np.where(hole[..., None], 0, ground)))
+
     inside = sphere_region(view, rig, size)
     outside = known & ~inside & (unsure < 20)
     threshold = 1.6 * np.percentile(difference[outside], 95) if outside.sum() > 500 else 25.0
     threshold = float(np.clip(threshold, 8, 40))
     odds = np.clip(3 * (difference - threshold) / threshold, -3, 3)
-    odds = odds / (
-        1 + np.maximum(unsure - 6, 0) / 6
-    )  # ground that changes between views says little
+    odds = odds / (1 + np.maximum(unsure - 6, 0) / 6)  # a ground that changes says little
+
     if below is not None:
-        under = cv2.remap(below.astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.5
+        under = seen(below.astype(np.float32)) > 0.5
         odds = np.where(under, np.maximum(odds, 0.6), odds)
-    return np.where(
-        inside, np.where(known, cv2.blur(odds.astype(np.float32), (3, 3)), 0), -3
-    ).astype(np.float32)
+    odds = np.where(known, cv2.blur(odds.astype(np.float32), (3, 3)), 0)
+    return np.where(inside, odds, -3).astype(np.float32)
 
 
 def soft_hull(rig: Rig, odds: dict[str, np.ndarray], height: float, longest: int = 80):
-    """Largest connected set of cells whose mean log-odds over views is positive and few of whose
-    views object.
+    """Centres (n, 3) of the cells whose mean log-odds over views is positive and that few views
+    speak against, in connected sets not much smaller than the largest; and the cell size.
+
+    Two passes: over the scene's sphere, then over what the first pass found.
     """
-    low, high = rig.center - rig.radius, rig.center + rig.radius
-    low[1] = max(low[1], height)
+    low = rig.center - rig.radius
+    high = rig.center + rig.radius
     for _ in range(2):
+        low[1] = max(low[1], height)
         grid = Grid.over(low, high, longest)
         points = grid.centers()
-        total, against, seen = np.zeros(len(points)), np.zeros(len(points)), np.zeros(len(points))
-        for v in rig.views:
-            value, inside = sample(v, odds[v.name], points)
-            total += np.where(inside, value, 0)
-            against += inside & (value < -1.5)
-            seen += inside
-        solid = (total > 0.4 * seen) & (against < 0.15 * seen) & (seen >= 0.5 * len(rig.views))
+        solid = _solid(rig, odds, points)
+
         labels, count = ndimage.label(solid.reshape(grid.shape), np.ones((3, 3, 3)))
         if not count:
             return np.zeros((0, 3)), grid.cell
         sizes = np.bincount(labels.ravel())
         sizes[0] = 0
-        points = points[(sizes[labels.ravel()] >= 0.15 * sizes.max())]
-        low, high = points.min(0) - 2 * grid.cell, points.max(0) + 2 * grid.cell
-        low[1] = max(low[1], height)
+        points = points[sizes[labels.ravel()] >= 0.15 * sizes.max()]
+
+        low = points.min(0) - 2 * grid.cell
+        high = points.max(0) + 2 * grid.cell
     return points, grid.cell
 
 
+def _solid(rig: Rig, odds: dict[str, np.ndarray], points: np.ndarray) -> np.ndarray:
+    """Which points (n, 3) the views together hold for object (n,)."""
+    total = np.zeros(len(points))
+    against = np.zeros(len(points))
+    seen = np.zeros(len(points))
+    for v in rig.views:
+        value, inside = sample(v, odds[v.name], points)
+        total += np.where(inside, value, 0)
+        against += inside & (value < -1.5)
+        seen += inside
+    return (total > 0.4 * seen) & (against < 0.15 * seen) & (seen >= 0.5 * len(rig.views))
+
+
 def grow(mask: np.ndarray, pixels: int) -> np.ndarray:
+    """Dilate a mask (h, w) bool by `pixels`, or erode it by as many where they are negative."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * abs(pixels) + 1,) * 2)
     return (cv2.dilate if pixels > 0 else cv2.erode)(mask.astype(np.uint8), kernel).astype(bool)
 
@@ -207,27 +245,26 @@ def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.n
     """GrabCut of one photo: sure object inside the hull, sure background outside its
     surroundings.
     """
-    near, core = grow(hull, band), grow(hull, -band)
+    near = grow(hull, band)
+    core = grow(hull, -band)
     if not core.any():
         return hull
+
     state = np.full(hull.shape, cv2.GC_BGD, np.uint8)
     state[near] = cv2.GC_PR_BGD
     state[near & (odds > 1.0)] = cv2.GC_PR_FGD
     state[hull & (odds > -2.0)] = cv2.GC_PR_FGD
     state[core & (odds > 0.3)] = cv2.GC_FGD
+
     rows, columns = np.where(grow(near, 3 * band))
     box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     cut_state = np.ascontiguousarray(state[box])
+    picture = np.ascontiguousarray(lab8[box])
+    background = np.zeros((1, 65))  # GrabCut's colour models
+    foreground = np.zeros((1, 65))
     cv2.setRNGSeed(0)
-    cv2.grabCut(
-        np.ascontiguousarray(lab8[box]),
-        cut_state,
-        None,
-        np.zeros((1, 65)),
-        np.zeros((1, 65)),
-        3,
-        cv2.GC_INIT_WITH_MASK,
-    )
+    cv2.grabCut(picture, cut_state, None, background, foreground, 3, cv2.GC_INIT_WITH_MASK)
+
     out = np.zeros(hull.shape, bool)
     out[box] = (cut_state == cv2.GC_FGD) | (cut_state == cv2.GC_PR_FGD)
     return tidy(out)
@@ -236,9 +273,9 @@ def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.n
 def tidy(mask: np.ndarray) -> np.ndarray:
     """Smooth by two pixels, fill holes smaller than 3 % of the object, keep the large parts."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    mask = cv2.morphologyEx(
-        cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel
-    )
+    mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, kernel)
+
     for value in (0, 1):
         count, labels, stats, _ = cv2.connectedComponentsWithStats((mask == value).astype(np.uint8))
         area = stats[1:, cv2.CC_STAT_AREA]
@@ -249,8 +286,10 @@ def tidy(mask: np.ndarray) -> np.ndarray:
 
 
 def plane_masks(poses: Path, rig: Rig, settings: Masks, threads: int) -> tuple[dict, dict]:
-    """name -> mask (h, w) bool at the photos' size, and facts. InputError when there is no ground
-    plane.
+    """Photo name -> mask (h, w) bool at the photos' size, and facts.
+
+    Raises InputError when there is no ground plane, nothing stands out from it, or the masks of the
+    photos contradict each other.
     """
     plane = rig.facts.get("plane")
     if plane is None:
@@ -260,60 +299,65 @@ def plane_masks(poses: Path, rig: Rig, settings: Masks, threads: int) -> tuple[d
             "put masks into the scene's folder masks/, or photograph on a textured table",
         )
     height = float(plane["offset"])
-    sizes = {
-        v.name: (round(v.width * f), round(v.height * f))
-        for v in rig.views
-        for f in [min(1, WORKING / max(v.width, v.height))]
-    }
+
     labs = {
-        v.name: to_lab(poses / v.image, sizes[v.name])
+        v.name: to_lab(poses / v.image, working_size(v))
         for v in progress(rig.views, "photos to compare")
     }
-    ground, spread = bare_ground(rig, labs, height)
-    odds = {
-        v.name: evidence(v, rig, labs[v.name], ground, spread, height)
-        for v in progress(rig.views, "difference to bare ground")
-    }
+    odds = _odds_of_all(rig, labs, height)
     points, cell = soft_hull(rig, odds, height)
-    if not len(points):
-        raise InputError(
-            "nothing above the ground plane stands out in the photos",
-            "masks",
-            "put masks into the scene's folder masks/",
-        )
-    below = footprint(rig, points, cell, spread)
-    odds = {
-        v.name: evidence(v, rig, labs[v.name], ground, spread, height, below)
-        for v in progress(rig.views, "with the footprint")
+
+    eight_bit = {
+        name: np.clip(lab * [2.55, 1, 1] + [0, 128, 128], 0, 255).astype(np.uint8)
+        for name, lab in labs.items()
     }
-    points, cell = soft_hull(rig, odds, height)
-    eight = {
-        n: np.clip(lab * [2.55, 1, 1] + [0, 128, 128], 0, 255).astype(np.uint8)
-        for n, lab in labs.items()
-    }
-    masks = {}
     for turn, band in ((1, 0.035), (2, 0.02)):
-        hulls = {v.name: silhouette(v, points, cell, sizes[v.name]) for v in rig.views}
-        width = {n: max(3, round(band * np.sqrt(h.sum()) * 1.5)) for n, h in hulls.items()}
-        with ThreadPoolExecutor(threads) as pool:
-            jobs = {n: pool.submit(cut, eight[n], hulls[n], odds[n], width[n]) for n in hulls}
-            masks = {
-                n: jobs[n].result() for n in progress(list(jobs), f"cut along edges, pass {turn}")
-            }
+        masks = _cut_all(rig, eight_bit, odds, points, cell, band, threads, f"pass {turn}")
         points, cell = hull_points(rig, masks, 96, 0.15)
         if not len(points):
-            raise InputError(
-                "the masks of the photos contradict each other",
-                "masks",
-                "put masks into the scene's folder masks/",
-            )
+            raise InputError("the masks of the photos contradict each other", "masks", CURE)
+
     out = {}
     for v in rig.views:
-        kept = masks[v.name] & grow(silhouette(v, points, cell, sizes[v.name]), 4)
-        soft = cv2.resize(
-            kept.astype(np.float32), (v.width, v.height), interpolation=cv2.INTER_CUBIC
-        )
-        out[v.name] = soft > 0.5
-    return out, {
-        "why": "no masks came with the photos; difference to the bare ground plane, GrabCut, hull"
+        kept = masks[v.name] & grow(silhouette(v, points, cell, working_size(v)), 4)
+        size = (v.width, v.height)
+        out[v.name] = cv2.resize(kept.astype(np.float32), size, interpolation=cv2.INTER_CUBIC) > 0.5
+    why = "no masks came with the photos; difference to the bare ground plane, GrabCut, hull"
+    return out, {"why": why}
+
+
+def working_size(view: View) -> tuple[int, int]:
+    """(width, height) that a photo is compared at."""
+    factor = min(1, WORKING / max(view.width, view.height))
+    return round(view.width * factor), round(view.height * factor)
+
+
+def _odds_of_all(rig: Rig, labs: dict[str, np.ndarray], height: float) -> dict[str, np.ndarray]:
+    """Log-odds of every view, the object's footprint on the ground taken into account."""
+    ground, spread = bare_ground(rig, labs, height)
+    odds = {
+        v.name: object_odds(v, rig, labs[v.name], ground, spread, height)
+        for v in progress(rig.views, "difference to bare ground")
     }
+
+    points, cell = soft_hull(rig, odds, height)
+    if not len(points):
+        what = "nothing above the ground plane stands out in the photos"
+        raise InputError(what, "masks", CURE)
+
+    below = footprint(rig, points, cell, spread)
+    return {
+        v.name: object_odds(v, rig, labs[v.name], ground, spread, height, below)
+        for v in progress(rig.views, "with the footprint")
+    }
+
+
+def _cut_all(rig: Rig, pictures, odds, points, cell: float, band: float, threads: int, note: str):
+    """GrabCut of every photo within `band` (fraction of the object's size) of the silhouette of the
+    cells `points`; photo name -> mask (h, w) bool.
+    """
+    hulls = {v.name: silhouette(v, points, cell, working_size(v)) for v in rig.views}
+    width = {n: max(3, round(band * np.sqrt(h.sum()) * 1.5)) for n, h in hulls.items()}
+    with ThreadPoolExecutor(threads) as pool:
+        jobs = {n: pool.submit(cut, pictures[n], hulls[n], odds[n], width[n]) for n in hulls}
+        return {n: jobs[n].result() for n in progress(list(jobs), f"cut along edges, {note}")}

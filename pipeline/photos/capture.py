@@ -163,13 +163,14 @@ def _to_rgb(image: Image.Image) -> tuple[np.ndarray, str]:
         profile = image.info.get("icc_profile")
         if profile:
             source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-            image = ImageCms.profileToProfile(
-                image, source, ImageCms.createProfile("sRGB"), outputMode="RGB"
-            )
-            return np.asarray(image, np.float32) / 255, "CMYK by its ICC profile"
-        return np.asarray(
-            image.convert("RGB"), np.float32
-        ) / 255, "CMYK without a profile, by the plain formula"
+            target = ImageCms.createProfile("sRGB")
+            image = ImageCms.profileToProfile(image, source, target, outputMode="RGB")
+            note = "CMYK by its ICC profile"
+        else:
+            image = image.convert("RGB")
+            note = "CMYK without a profile, by the plain formula"
+        return np.asarray(image, np.float32) / 255, note
+
     if image.mode in ("F", "I"):
         raise ValueError(
             f"32 bits per channel (Pillow mode {image.mode}): save linear pictures as EXR"
@@ -190,9 +191,10 @@ def decode(path: Path) -> tuple[np.ndarray, dict]:
                 path,
                 "export it again without them, or leave it out",
             )
-        return (pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)), {
-            "linear": True
-        }
+        if pixels.ndim == 2:
+            pixels = np.repeat(pixels[..., None], 3, -1)
+        return pixels, {"linear": True}
+
     try:
         data = path.read_bytes()
         with Image.open(io.BytesIO(data)) as image:
@@ -307,21 +309,22 @@ def convert(
     pixels, facts = decode(path)
     height, width = pixels.shape[:2]
     mask = _read_mask(scene, path, pixels)
+
     linear_input = facts.pop("linear", False) or settings.encoding == "linear"
     color = pixels[..., :3]
     clipped = float((color.max(-1) >= settings.clip_fraction).mean()) if not linear_input else 0.0
     linear = color if linear_input else srgb_to_linear(color)
     clip = 1e6 if linear_input else float(srgb_to_linear(np.array(settings.clip_fraction)))
+
     factor = min(1.0, settings.max_size / max(height, width))
     size = (round(width * factor), round(height * factor))
-    if pixels.shape[2] == 4:
+    if pixels.shape[2] == 4:  # mean colour of what the pixel shows of the object
         alpha = pixels[..., 3:]
-        small = (
-            _resize(np.ascontiguousarray(linear * alpha), size)
-            / np.maximum(_resize(alpha[..., 0], size), 1e-4)[..., None]
-        )
+        color = _resize(np.ascontiguousarray(linear * alpha), size)
+        small = color / np.maximum(_resize(alpha[..., 0], size), 1e-4)[..., None]
     else:
         small = _resize(linear, size)
+
     facts |= {
         "original_size": [width, height],
         "width": size[0],
@@ -339,22 +342,20 @@ def normalise_exposure(photos: list[dict], mode: str) -> str:
         p["gain"] = 1.0
     if mode == "none":
         return "not asked for"
-    if None in exposures:
-        known = sum(e is not None for e in exposures)
-        return (
-            "no EXIF exposure"
-            if not known
-            else f"left alone: only {known} of {len(photos)} photos have EXIF exposure"
-        )
+
+    known = sum(e is not None for e in exposures)
+    if not known:
+        return "no EXIF exposure"
+    if known < len(photos):
+        return f"left alone: only {known} of {len(photos)} photos have EXIF exposure"
+
     middle = float(np.median(exposures))
-    for p, e in zip(photos, exposures):
-        p["gain"] = e / middle
+    for p, exposure in zip(photos, exposures):
+        p["gain"] = exposure / middle
     spread = max(exposures) / min(exposures)
-    return (
-        "all photos share one exposure"
-        if spread < 1.001
-        else f"divided out; exposures differ by a factor of {spread:.2f}"
-    )
+    if spread < 1.001:
+        return "all photos share one exposure"
+    return f"divided out; exposures differ by a factor of {spread:.2f}"
 
 
 def focal_guess(photo: dict) -> dict:
@@ -381,11 +382,14 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
     unused = unused_photos(scene, found)
     if unused:
         print(
-            f"{len(unused)} photos are not named by {camera_file(scene).name} and not used, first {unused[0]}",
+            f"{len(unused)} photos are not named by {camera_file(scene).name} and not used, "
+            f"first {unused[0]}",
             file=sys.stderr,
         )
+
     (out / "images").mkdir()
-    photos, masked = [], []
+    photos = []
+    masked = []
     for name, path, split in progress(found, "photos"):
         linear, mask, facts = convert(scene, path, settings)
         np.save(out / "images" / f"{name}.npy", linear.astype(np.float16))
@@ -402,6 +406,7 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
             masked.append(name)
             (out / "masks").mkdir(exist_ok=True)
             write_png(out / "masks" / f"{name}.png", (mask >= 0.5) * np.uint8(255))
+
     if masked and len(masked) < len(photos):
         bare = [p["file"] for p in photos if not p["has_mask"]]
         raise InputError(
@@ -409,6 +414,7 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
             scene / "masks",
             "add the missing masks, or remove the folder to have all of them made",
         )
+
     exposure = normalise_exposure(photos, settings.exposure)
     for p in photos:
         raw = out / "images" / f"{p['name']}.npy"
@@ -416,6 +422,7 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
         p["clip_level"] /= p["gain"]
         p |= focal_guess(p)
         raw.unlink()
+
     write_json(
         out / "photos.json",
         {"scene": scene.name, "exposure": exposure, "unused": unused, "photos": photos},

@@ -34,9 +34,16 @@ class Lens:
 
     def at(self, width: int, height: int) -> Lens:
         """The same lens for a resized photo."""
-        x, y = width / self.width, height / self.height
+        ratio_x = width / self.width
+        ratio_y = height / self.height
         return Lens(
-            width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.distortion
+            width,
+            height,
+            self.fx * ratio_x,
+            self.fy * ratio_y,
+            self.cx * ratio_x,
+            self.cy * ratio_y,
+            self.distortion,
         )
 
 
@@ -46,7 +53,8 @@ def check_shape(w: float, h: float, size: tuple[int, int], where, name: str) -> 
     """
     if abs(w * size[1] - h * size[0]) > 1.5 * max(w, h, *size):
         raise InputError(
-            f"the camera of '{name}' is {w:g}x{h:g}, the photo {size[0]}x{size[1]}: not the same shape",
+            f"the camera of '{name}' is {w:g}x{h:g}, the photo {size[0]}x{size[1]}: "
+            "not the same shape",
             where,
             "use the very photos the cameras were made from (same crop, same EXIF rotation)",
         )
@@ -57,18 +65,23 @@ def _transforms_lens(data: dict, frame: dict, size: tuple[int, int], file: Path)
     extra = [k for k in ("k3", "k4", "k5", "k6") if value(k)]
     if extra or "FISHEYE" in str(value("camera_model", "")).upper():
         raise InputError(
-            f"lens model {value('camera_model', '')} with {extra or 'fisheye'} distortion is not supported",
+            f"lens model {value('camera_model', '')} with {extra or 'fisheye'} distortion "
+            "is not supported",
             file,
             "undistort the photos first, or export with k1, k2, p1, p2 only",
         )
-    w, h = value("w", size[0]), value("h", size[1])
+
+    w = value("w", size[0])
+    h = value("h", size[1])
     check_shape(w, h, size, file, frame.get("file_path"))
+
     if value("fl_x"):
         fx = float(value("fl_x"))
     elif value("camera_angle_x"):
         fx = 0.5 * w / np.tan(0.5 * float(value("camera_angle_x")))
     else:
         raise InputError("neither fl_x nor camera_angle_x is given", file, "add the focal length")
+
     return Lens(
         int(w),
         int(h),
@@ -86,7 +99,8 @@ def read_transforms(
     """name -> (Lens, world-to-camera in the Y-up frame). `sizes`: each photo's original (width,
     height).
     """
-    data, out = json.loads(file.read_text(encoding="utf-8")), {}
+    data = json.loads(file.read_text(encoding="utf-8"))
+    out = {}
     for frame in data["frames"]:
         name = photo_name(scene, path_in_scene(scene, frame["file_path"], file))
         matrix = np.array(frame.get("transform_matrix"), float)
@@ -96,37 +110,41 @@ def read_transforms(
                 file,
                 "export the cameras again",
             )
-        out[name] = (
-            _transforms_lens(data, frame, sizes[name], file),
-            np.linalg.inv(Y_FROM_Z_UP @ matrix @ OPENCV_FROM_OPENGL),
-        )
+        lens = _transforms_lens(data, frame, sizes[name], file)
+        out[name] = (lens, np.linalg.inv(Y_FROM_Z_UP @ matrix @ OPENCV_FROM_OPENGL))
     return out
+
+
+# COLMAP camera model -> places of fx, fy, cx, cy and of the distortion among its parameters
+PARAMETERS = {
+    "SIMPLE_PINHOLE": (0, 0, 1, 2, ()),
+    "PINHOLE": (0, 1, 2, 3, ()),
+    "SIMPLE_RADIAL": (0, 0, 1, 2, (3,)),
+    "RADIAL": (0, 0, 1, 2, (3, 4)),
+    "OPENCV": (0, 1, 2, 3, (4, 5, 6, 7)),
+}
 
 
 def lens_of_colmap(camera) -> Lens:
     """A pycolmap camera as Lens; InputError for models with more than OPENCV's distortion."""
-    p, name = list(camera.params), camera.model.name
-    layouts = {
-        "SIMPLE_PINHOLE": (0, 0, 1, 2, ()),
-        "PINHOLE": (0, 1, 2, 3, ()),
-        "SIMPLE_RADIAL": (0, 0, 1, 2, (3,)),
-        "RADIAL": (0, 0, 1, 2, (3, 4)),
-        "OPENCV": (0, 1, 2, 3, (4, 5, 6, 7)),
-    }
-    if name not in layouts:
+    params = list(camera.params)
+    name = camera.model.name
+    if name not in PARAMETERS:
         raise InputError(
             f"camera model {name} is not supported",
             "sparse/0",
             "convert the model to PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV",
         )
-    a, b, c, d, rest = layouts[name]
-    k = tuple(p[i] for i in rest)
-    return Lens(camera.width, camera.height, p[a], p[b], p[c], p[d], k + (0.0,) * (4 - len(k)))
+    *pinhole, rest = PARAMETERS[name]
+    fx, fy, cx, cy = (params[k] for k in pinhole)
+    distortion = tuple(params[k] for k in rest)
+    distortion += (0.0,) * (4 - len(distortion))
+    return Lens(camera.width, camera.height, fx, fy, cx, cy, distortion)
 
 
 def poses_of_model(model, names: dict[str, str]) -> dict[str, tuple[Lens, np.ndarray]]:
-    """Registered images of a pycolmap Reconstruction: name -> (Lens, world-to-camera). `names`:
-    image name -> name.
+    """Registered images of a pycolmap Reconstruction: photo name -> (Lens, world-to-camera).
+    `names`: the model's image name -> photo name; other images are left out.
     """
     out = {}
     for image in model.images.values():

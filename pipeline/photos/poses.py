@@ -32,15 +32,17 @@ def positions(poses: list[np.ndarray]) -> np.ndarray:
 
 
 def axes_meeting_point(poses: list[np.ndarray]) -> np.ndarray:
-    """Point nearest to all optical axes in the least-squares sense."""
-    centers, axes = positions(poses), np.stack([p[2, :3] for p in poses])
-    project = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    return np.linalg.solve(
-        project.sum(0) + 1e-9 * np.eye(3), (project @ centers[..., None]).sum(0)[:, 0]
-    )
+    """Point (3,) nearest to all optical axes in the least-squares sense."""
+    centers = positions(poses)
+    axes = np.stack([p[2, :3] for p in poses])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projections across each axis
+
+    matrix = across.sum(0) + 1e-9 * np.eye(3)
+    return np.linalg.solve(matrix, (across @ centers[..., None]).sum(0)[:, 0])
 
 
 def mean_up(poses: list[np.ndarray]) -> np.ndarray:
+    """Mean of the cameras' up directions, a unit vector (3,)."""
     up = -np.stack([p[1, :3] for p in poses]).mean(0)
     return up / np.linalg.norm(up)
 
@@ -91,41 +93,51 @@ def ground_plane(
     return (n, float(offset), share) if share >= 0.12 or bare else None
 
 
-def object_points(xyz, offsets, views, poses, lenses, plane, masks) -> np.ndarray:
+def object_points(xyz, poses, lenses, plane, masks) -> np.ndarray:
     """Sparse points that belong to the object: inside the masks if there are any, else above the
-    ground, central.
+    ground and near the middle of the scene.
     """
     if masks is not None:
-        inside = np.zeros(len(xyz))
-        total = np.zeros(len(xyz))
-        for pose, lens, mask in zip(poses, lenses, masks):
-            p = xyz @ pose[:3, :3].T + pose[:3, 3]
-            u = lens.fx * p[:, 0] / p[:, 2] + lens.cx
-            v = lens.fy * p[:, 1] / p[:, 2] + lens.cy
-            seen = (p[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < lens.width) & (v < lens.height)
-            scale = mask.shape[1] / lens.width
-            total += seen
-            inside[seen] += (
-                mask[
-                    (v[seen] * scale).astype(int).clip(0, mask.shape[0] - 1),
-                    (u[seen] * scale).astype(int).clip(0, mask.shape[1] - 1),
-                ]
-                > 127
-            )
-        return xyz[(inside >= 0.9 * total) & (total >= 2)]
-    middle, centers = axes_meeting_point(poses), positions(poses)
-    distance = np.median(np.linalg.norm(centers - middle, axis=1))
-    up = plane[0] if plane is not None else mean_up(poses)
-    above = (
-        xyz @ plane[0] - plane[1] > 0.02 * distance
-        if plane is not None
-        else np.ones(len(xyz), bool)
-    )
-    sideways = (xyz - middle) - ((xyz - middle) @ up)[:, None] * up
-    central = (np.linalg.norm(sideways, axis=1) < 0.4 * distance) & (
-        ((xyz - middle) @ up) < 0.6 * distance
-    )
+        return _points_in_masks(xyz, poses, lenses, masks)
+
+    middle, distance = _middle_and_distance(poses)
+    if plane is not None:
+        up, offset = plane[:2]
+        above = xyz @ up - offset > 0.02 * distance
+    else:
+        up = mean_up(poses)
+        above = np.ones(len(xyz), bool)
+
+    height = (xyz - middle) @ up
+    sideways = (xyz - middle) - height[:, None] * up
+    central = (np.linalg.norm(sideways, axis=1) < 0.4 * distance) & (height < 0.6 * distance)
     return xyz[above & central]
+
+
+def _points_in_masks(xyz, poses, lenses, masks) -> np.ndarray:
+    """Points inside 90 % of the masks (uint8) of the two or more views whose frame holds them."""
+    inside = np.zeros(len(xyz))
+    total = np.zeros(len(xyz))
+
+    for pose, lens, mask in zip(poses, lenses, masks):
+        x, y, depth = (xyz @ pose[:3, :3].T + pose[:3, 3]).T
+        u = lens.fx * x / depth + lens.cx
+        v = lens.fy * y / depth + lens.cy
+        seen = (depth > 0) & (u >= 0) & (v >= 0) & (u < lens.width) & (v < lens.height)
+        total += seen
+
+        scale = mask.shape[1] / lens.width
+        row = (v[seen] * scale).astype(int).clip(0, mask.shape[0] - 1)
+        column = (u[seen] * scale).astype(int).clip(0, mask.shape[1] - 1)
+        inside[seen] += mask[row, column] > 127
+
+    return xyz[(inside >= 0.9 * total) & (total >= 2)]
+
+
+def _middle_and_distance(poses) -> tuple[np.ndarray, float]:
+    """Where the optical axes meet (3,), and the cameras' median distance from there."""
+    middle = axes_meeting_point(poses)
+    return middle, np.median(np.linalg.norm(positions(poses) - middle, axis=1))
 
 
 def main_cluster(points: np.ndarray, bandwidth: float) -> np.ndarray:
@@ -137,34 +149,31 @@ def main_cluster(points: np.ndarray, bandwidth: float) -> np.ndarray:
 
     if len(points) > 5000:  # neighbour pairs grow with the square of the density
         points = points[np.random.default_rng(0).choice(len(points), 5000, replace=False)]
-    graph = (
-        cKDTree(points)
-        .sparse_distance_matrix(cKDTree(points), bandwidth, output_type="coo_matrix")
-        .tocsr()
-    )
-    label = connected_components(graph, directed=False)[1]
+
+    tree = cKDTree(points)
+    near = tree.sparse_distance_matrix(tree, bandwidth, output_type="coo_matrix")
+    label = connected_components(near.tocsr(), directed=False)[1]
     counts = np.bincount(label)
     return points[counts[label] >= counts.max() / 3]
 
 
 def object_sphere(points: np.ndarray, poses, plane) -> tuple[np.ndarray, float, str]:
     """Centre and radius that hold the object's sparse points, and how they were found."""
-    middle, centers = axes_meeting_point(poses), positions(poses)
-    distance = np.median(np.linalg.norm(centers - middle, axis=1))
+    middle, distance = _middle_and_distance(poses)
     if len(points) >= 30:
         points = main_cluster(points, 0.06 * distance)
     if len(points) < 30:
         return middle, 0.35 * float(distance), "optical axes (too few object points)"
+
     if plane is not None:  # the object's foot on the ground belongs to it
-        foot = points - (points @ plane[0] - plane[1])[:, None] * plane[0]
+        normal, offset = plane[:2]
+        foot = points - (points @ normal - offset)[:, None] * normal
         points = np.concatenate([points, foot])
-    low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
+
+    low, high = np.percentile(points, [1, 99], axis=0)
     center = 0.5 * (low + high)
-    return (
-        center,
-        float(np.percentile(np.linalg.norm(points - center, axis=1), 99)),
-        f"{len(points)} sparse points",
-    )
+    radius = float(np.percentile(np.linalg.norm(points - center, axis=1), 99))
+    return center, radius, f"{len(points)} sparse points"
 
 
 def rotation_to_y(up: np.ndarray) -> np.ndarray:
@@ -184,16 +193,16 @@ def undistort(
     """
     if not any(lens.distortion):
         return image, lens
-    k = np.array(
-        [[lens.fx, 0, lens.cx - 0.5], [0, lens.fy, lens.cy - 0.5], [0, 0, 1]]
-    )  # OpenCV: centres at integers
-    d, size = np.array(lens.distortion), (lens.width, lens.height)
-    new, _ = cv2.getOptimalNewCameraMatrix(k, d, size, 0.0)
-    maps = cv2.initUndistortRectifyMap(k, d, None, new, size, cv2.CV_32FC1)
-    return (
-        cv2.remap(image, *maps, interpolation, borderMode=cv2.BORDER_REPLICATE),
-        Lens(*size, new[0, 0], new[1, 1], new[0, 2] + 0.5, new[1, 2] + 0.5),
-    )
+
+    # OpenCV's pixel centres are integers
+    old = np.array([[lens.fx, 0, lens.cx - 0.5], [0, lens.fy, lens.cy - 0.5], [0, 0, 1]])
+    distortion = np.array(lens.distortion)
+    size = (lens.width, lens.height)
+    new, _ = cv2.getOptimalNewCameraMatrix(old, distortion, size, 0.0)
+    maps = cv2.initUndistortRectifyMap(old, distortion, None, new, size, cv2.CV_32FC1)
+
+    straight = cv2.remap(image, *maps, interpolation, borderMode=cv2.BORDER_REPLICATE)
+    return straight, Lens(*size, new[0, 0], new[1, 1], new[0, 2] + 0.5, new[1, 2] + 0.5)
 
 
 def similarity(
@@ -210,21 +219,21 @@ def write_views(capture: Path, out: Path, photos: list[dict], lenses, poses) -> 
     """Undistort photos and masks into `out`; the views in the order of `photos`."""
     (out / "images").mkdir()
     views = []
+
     for p, lens, pose in zip(progress(photos, "undistorted photos"), lenses, poses):
-        image, pinhole = undistort(read_exr(capture / "images" / f"{p['name']}.exr"), lens)
-        write_exr(out / "images" / f"{p['name']}.exr", image, half=True)
+        name = p["name"]
+        image, pinhole = undistort(read_exr(capture / "images" / f"{name}.exr"), lens)
+        write_exr(out / "images" / f"{name}.exr", image, half=True)
+
         if p["has_mask"]:
-            mask, _ = undistort(
-                np.asarray(Image.open(capture / "masks" / f"{p['name']}.png")),
-                lens,
-                cv2.INTER_NEAREST,
-            )
+            mask, _ = undistort(_read_mask(capture, name), lens, cv2.INTER_NEAREST)
             (out / "masks").mkdir(exist_ok=True)
-            write_png(out / "masks" / f"{p['name']}.png", mask)
+            write_png(out / "masks" / f"{name}.png", mask)
+
         views.append(
             View(
-                p["name"],
-                f"images/{p['name']}.exr",
+                name,
+                f"images/{name}.exr",
                 pinhole.width,
                 pinhole.height,
                 pinhole.fx,
@@ -239,95 +248,88 @@ def write_views(capture: Path, out: Path, photos: list[dict], lenses, poses) -> 
     return views
 
 
-def _estimated(capture: Path, photos: list[dict], scene: Path, settings: Poses, threads: int):
-    """Lens and pose per photo name from COLMAP (given model or reconstruction), the model and
-    facts.
+def _read_mask(capture: Path, name: str) -> np.ndarray:
+    """A photo's mask (h, w) uint8 as the capture stage wrote it."""
+    return np.asarray(Image.open(capture / "masks" / f"{name}.png"))
+
+
+def _given_model(folder: Path, photos: list[dict]):
+    """The COLMAP model in `folder`: model, its image name -> photo name, and lens and pose per
+    photo name.
+
+    Raises InputError for an unreadable model, or one that was not made from these photos.
     """
     import pycolmap
 
-    if (scene / "sparse" / "0").is_dir():
-        try:
-            model = pycolmap.Reconstruction(scene / "sparse" / "0")
-        except (ValueError, RuntimeError, OSError) as error:
-            raise InputError(
-                f"not a COLMAP model ({error})",
-                scene / "sparse" / "0",
-                "put cameras, images, points3D there",
-            ) from error
-        names = {Path(p["file"]).name: p["name"] for p in photos} | {
-            p["file"].removeprefix("images/"): p["name"] for p in photos
-        }
-        found, facts = poses_of_model(model, names), {"source": "colmap"}
-        missing = sorted(
-            i.name for i in model.images.values() if i.has_pose and i.name not in names
+    try:
+        model = pycolmap.Reconstruction(folder)
+    except (ValueError, RuntimeError, OSError) as error:
+        raise InputError(
+            f"not a COLMAP model ({error})", folder, "put cameras, images, points3D there"
+        ) from error
+
+    names = {Path(p["file"]).name: p["name"] for p in photos}
+    names |= {p["file"].removeprefix("images/"): p["name"] for p in photos}
+    found = poses_of_model(model, names)
+
+    missing = sorted(i.name for i in model.images.values() if i.has_pose and i.name not in names)
+    if missing:
+        raise InputError(
+            f"{len(missing)} of {len(model.images)} images of the model are not among the photos, "
+            f"first {missing[0]}",
+            folder,
+            "add the photos, or remove those images from the model",
         )
-        if missing:
-            raise InputError(
-                f"{len(missing)} of {len(model.images)} images of the model are not among the photos, first "
-                f"{missing[0]}",
-                scene / "sparse" / "0",
-                "add the photos, or remove those images from the model",
-            )
-        by_name = {p["name"]: p for p in photos}
-        for name, (lens, _) in found.items():
-            check_shape(
-                lens.width,
-                lens.height,
-                by_name[name]["original_size"],
-                scene / "sparse" / "0",
-                name,
-            )
+
+    sizes = {p["name"]: p["original_size"] for p in photos}
+    for name, (lens, _) in found.items():
+        check_shape(lens.width, lens.height, sizes[name], folder, name)
+    return model, names, found
+
+
+def _estimated(capture: Path, photos: list[dict], scene: Path, settings: Poses, threads: int):
+    """Lens and pose per photo name from COLMAP (given model or reconstruction), the model, its
+    image name -> photo name, and facts.
+    """
+    if (scene / "sparse" / "0").is_dir():
+        model, names, found = _given_model(scene / "sparse" / "0", photos)
+        facts = {"source": "colmap"}
     else:
         model, names, attempts = reconstruct(capture, photos, settings, threads)
-        found, facts = poses_of_model(model, names), {"source": "sfm", "attempts": attempts}
-    return (
-        found,
-        model,
-        names,
-        facts | {"reprojection_error_px": model.compute_mean_reprojection_error()},
-    )
+        found = poses_of_model(model, names)
+        facts = {"source": "sfm", "attempts": attempts}
+
+    facts["reprojection_error_px"] = model.compute_mean_reprojection_error()
+    return found, model, names, facts
 
 
 def upright(found, photos, model, names, capture: Path, settings: Poses):
-    """Turn, shift and scale a COLMAP world: poses, sphere, sparse points, facts."""
+    """Turn, shift and scale a COLMAP world so that +Y is up and the object lies at the origin:
+    photos kept, lenses, poses, centre and radius of the object's sphere, sparse points, facts.
+    """
     kept = [p for p in photos if p["name"] in found]
+    lenses = [found[p["name"]][0] for p in kept]
+    poses = [found[p["name"]][1] for p in kept]
+
     index = {p["name"]: k for k, p in enumerate(kept)}
-    poses, lenses = [found[p["name"]][1] for p in kept], [found[p["name"]][0] for p in kept]
     order = {
         i.image_id: index[names[i.name]]
         for i in model.images.values()
         if i.name in names and names[i.name] in index
     }
     xyz, rgb, error, offsets, views = sparse_points(model, order)
-    up, centers = mean_up(poses), positions(poses)
-    plane = ground_plane(xyz, centers, up, axes_meeting_point(poses), settings.seed)
+
+    up = mean_up(poses)
+    plane = ground_plane(xyz, positions(poses), up, axes_meeting_point(poses), settings.seed)
     masks = None
     if all(p["has_mask"] for p in kept):
-        masks = [np.asarray(Image.open(capture / "masks" / f"{p['name']}.png")) for p in kept]
-    points = object_points(xyz, offsets, views, poses, lenses, plane, masks)
+        masks = [_read_mask(capture, p["name"]) for p in kept]
+    points = object_points(xyz, poses, lenses, plane, masks)
     center, radius, how = object_sphere(points, poses, None if masks is not None else plane)
-    normal = plane[0] if plane is not None else up
-    rotation = rotation_to_y(normal) if settings.up == "auto" else np.eye(3)
-    scale = (settings.object_size or 1.0) / (2 * radius)
-    shift = -scale * (rotation @ center)
-    if settings.up == "auto":
-        ground = plane[1] if plane is not None else normal @ center - radius
-        shift[1] = -scale * ground
-    facts = {
-        "up": "ground plane" if plane is not None else "mean camera up (no ground plane found)",
-        "object_found_by": how,
-        "plane": None
-        if plane is None
-        else {
-            "normal": rotation @ plane[0],
-            "offset": scale * plane[1] + shift @ (rotation @ plane[0]),
-            "inlier_share": plane[2],
-        },
-    }
+
+    rotation, shift, scale = _to_library_frame(plane, up, center, radius, settings)
     moved = [similarity(p, rotation, shift, scale) for p in poses]
-    world = np.eye(4)
-    world[:3, :3], world[:3, 3] = scale * rotation, shift
-    facts["world"] = world
+    facts = _frame_facts(plane, how, rotation, shift, scale)
     points = {
         "xyz": scale * xyz @ rotation.T + shift,
         "rgb": rgb,
@@ -335,15 +337,71 @@ def upright(found, photos, model, names, capture: Path, settings: Poses):
         "offsets": offsets,
         "views": views,
     }
-    return (
-        kept,
-        lenses,
-        moved,
-        scale * rotation @ center + shift,
-        1.25 * scale * radius,
-        points,
-        facts,
-    )
+    center = scale * rotation @ center + shift
+    return kept, lenses, moved, center, 1.25 * scale * radius, points, facts
+
+
+def _to_library_frame(plane, up, center, radius: float, settings: Poses):
+    """Rotation, shift and scale of x' = scale (R x) + shift: the ground becomes y = 0, the object
+    has the wanted size and stands above the origin.
+    """
+    normal = plane[0] if plane is not None else up
+    rotation = rotation_to_y(normal) if settings.up == "auto" else np.eye(3)
+    scale = (settings.object_size or 1.0) / (2 * radius)
+
+    shift = -scale * (rotation @ center)
+    if settings.up == "auto":
+        ground = plane[1] if plane is not None else normal @ center - radius
+        shift[1] = -scale * ground
+    return rotation, shift, scale
+
+
+def _frame_facts(plane, how: str, rotation, shift, scale: float) -> dict:
+    """What cameras.json says of the change of frame, and of `how` the object was found."""
+    world = np.eye(4)
+    world[:3, :3] = scale * rotation
+    world[:3, 3] = shift
+
+    turned = None
+    if plane is not None:
+        normal, offset, inlier_share = plane
+        turned = {
+            "normal": rotation @ normal,
+            "offset": scale * offset + shift @ (rotation @ normal),
+            "inlier_share": inlier_share,
+        }
+    return {
+        "up": "ground plane" if plane is not None else "mean camera up (no ground plane found)",
+        "object_found_by": how,
+        "plane": turned,
+        "world": world,
+    }
+
+
+def _given(file: Path, scene: Path, photos: list[dict]):
+    """As `upright`, for cameras from transforms files, which keep their own world."""
+    sizes = {p["name"]: tuple(p["original_size"]) for p in photos}
+    found = read_transforms(file, scene, sizes)
+    if (scene / "transforms_test.json").exists():
+        found |= read_transforms(scene / "transforms_test.json", scene, sizes)
+
+    kept = [p for p in photos if p["name"] in found]
+    lenses, poses = zip(*(found[p["name"]] for p in kept))
+    center, distance = _middle_and_distance(poses)
+    points = {
+        "xyz": np.zeros((0, 3)),
+        "rgb": np.zeros((0, 3), np.uint8),
+        "error": np.zeros(0),
+        "offsets": np.zeros(1, int),
+        "views": np.zeros(0, int),
+    }
+    facts = {
+        "source": "transforms.json",
+        "up": "the cameras' own world",
+        "plane": None,
+        "world": Y_FROM_Z_UP,
+    }
+    return kept, lenses, poses, center, 0.5 * float(distance), points, facts
 
 
 def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: int) -> dict:
@@ -351,29 +409,10 @@ def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: 
 
     Raises InputError when cameras are unusable or photos do not connect.
     """
-    photos, file = read_json(capture / "photos.json")["photos"], camera_file(scene)
+    photos = read_json(capture / "photos.json")["photos"]
+    file = camera_file(scene)
     if file:
-        sizes = {p["name"]: tuple(p["original_size"]) for p in photos}
-        found = read_transforms(file, scene, sizes)
-        if (scene / "transforms_test.json").exists():
-            found |= read_transforms(scene / "transforms_test.json", scene, sizes)
-        kept = [p for p in photos if p["name"] in found]
-        lenses, poses = zip(*(found[p["name"]] for p in kept))
-        center = axes_meeting_point(poses)
-        radius = 0.5 * float(np.median(np.linalg.norm(positions(poses) - center, axis=1)))
-        points = {
-            "xyz": np.zeros((0, 3)),
-            "rgb": np.zeros((0, 3), np.uint8),
-            "error": np.zeros(0),
-            "offsets": np.zeros(1, int),
-            "views": np.zeros(0, int),
-        }
-        facts = {
-            "source": "transforms.json",
-            "up": "the cameras' own world",
-            "plane": None,
-            "world": Y_FROM_Z_UP,
-        }
+        kept, lenses, poses, center, radius, points, facts = _given(file, scene, photos)
     else:
         found, model, names, facts = _estimated(capture, photos, scene, settings, threads)
         kept, lenses, poses, center, radius, points, more = upright(
@@ -382,14 +421,15 @@ def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: 
         facts |= more
     if len(kept) < 3:
         raise InputError(f"only {len(kept)} photos have a camera", scene, HINT)
+
     lenses = [lens.at(p["width"], p["height"]) for lens, p in zip(lenses, kept)]
-    facts["unregistered"] = [
-        p["name"] for p in photos if p["name"] not in {k["name"] for k in kept}
-    ]
+    with_camera = {p["name"] for p in kept}
+    facts["unregistered"] = [p["name"] for p in photos if p["name"] not in with_camera]
     views = write_views(capture, out, kept, lenses, poses)
     if settings.match_exposure:
         views, matched = match_exposure(views, out, points)
         facts |= matched
+
     np.savez_compressed(out / "points.npz", **points)
     save_cameras(out / "cameras.json", Rig(views, center, radius, facts["source"], facts))
     return {

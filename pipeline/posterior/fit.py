@@ -1,9 +1,8 @@
 """Point estimate of light and materials together (DPI, Eq. 15): Adam through the path tracer.
 
-The light is exp(p), so that it stays positive and steps are relative. Gauge: (light, albedo) -> (s
-light, albedo / s) leaves diffuse pictures unchanged; the fit starts with a median observed base
-colour of ALBEDO_START and drifts from there only as far as the photos (specular light,
-interreflection) ask. Best state by a running mean is kept.
+Gauge: (light, albedo) -> (s light, albedo / s) leaves diffuse pictures unchanged. The fit starts
+with a median observed base colour of ALBEDO_START and drifts from there only as far as the photos
+(specular light, interreflection) ask.
 """
 
 from __future__ import annotations
@@ -14,55 +13,114 @@ import torch
 from pipeline.base.config import Fit
 from pipeline.base.images import luminance
 from pipeline.base.progress import Bar
-from pipeline.posterior.problem import Materials, Problem, step_seed
+from pipeline.posterior.material_optimizer import BETAS, MaterialOptimizer
+from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.render.renderer import Explanation
 
-ALBEDO_START, ROUGHNESS_START, METALLIC_START = 0.35, 0.5, 0.05
+ALBEDO_START = 0.35
+ROUGHNESS_START = 0.5
+METALLIC_START = 0.05
+
+
+class LightOptimizer:
+    """The light as exp(parameter) under Adam: it stays positive, and steps are relative."""
+
+    def __init__(self, light: np.ndarray, learning_rate: float):
+        self.log_light = torch.from_numpy(np.log(light))
+        self.adam = torch.optim.Adam([self.log_light], learning_rate, betas=BETAS)
+
+    def light(self) -> np.ndarray:
+        """Radiance (h, 2h, 3)."""
+        return torch.exp(self.log_light).numpy()
+
+    def step(self, slope: np.ndarray, light: np.ndarray) -> None:
+        """One step of Adam, for the loss's `slope` in the radiance at `light`."""
+        self.log_light.grad = torch.from_numpy(np.ascontiguousarray(slope * light))
+        self.adam.step()
+
+    def set_learning_rate(self, learning_rate: float) -> None:
+        self.adam.param_groups[0]["lr"] = learning_rate
+
+
+class BestState:
+    """The explanation with the least running mean of the loss: a single step's loss is that of a
+    few pixels, and noisy. Only the second half of the `steps` is searched.
+    """
+
+    def __init__(self, steps: int):
+        self.first_candidate = steps // 2
+        self.running_mean: float | None = None
+        self.loss = np.inf
+        self.step = 0
+        self.explanation: Explanation | None = None
+
+    def see(self, step: int, explanation: Explanation, loss: float) -> None:
+        """Take one more step's state; step 0 is kept until a candidate comes."""
+        if step == 0:
+            self.running_mean = loss
+            self.explanation = explanation.copy()
+            return
+
+        self.running_mean = 0.9 * self.running_mean + 0.1 * loss
+        if step >= self.first_candidate and self.running_mean < self.loss:
+            self.loss = self.running_mean
+            self.step = step
+            self.explanation = explanation.copy()
 
 
 def start(problem: Problem, texture: int) -> Explanation:
     """Grey, rough, non-metallic, under a constant light that makes the median pixel right."""
-    level = float(np.median(luminance(problem.observations.rgb)))
-    light = np.full(problem.renderer.light_shape, max(level, 1e-4) / ALBEDO_START, np.float32)
-    full = lambda *shape, value: np.full((texture, texture) + shape, value, np.float32)
+    brightness = float(np.median(luminance(problem.observations.rgb)))
+    radiance = max(brightness, 1e-4) / ALBEDO_START
+    gloss_map = lambda value: np.full((texture, texture), value, np.float32)
     return Explanation(
-        light, full(3, value=ALBEDO_START), full(value=ROUGHNESS_START), full(value=METALLIC_START)
+        np.full(problem.renderer.light_shape, radiance, np.float32),
+        np.full((texture, texture, 3), ALBEDO_START, np.float32),
+        gloss_map(ROUGHNESS_START),
+        gloss_map(METALLIC_START),
     )
 
 
 def fit(problem: Problem, settings: Fit) -> tuple[Explanation, dict]:
-    """Run Eq. 15; returns the best explanation and {"loss_start", "loss_end", "best_step"}."""
+    """Returns the best explanation and {"loss_start", "loss_end", "best_step"}.
+
+    Eq. 15 (published): x, k = argmin over x, k of sum_i || y_i - R(x, k, c_i) ||^2
+
+    for light x, materials k, photos y_i from cameras c_i and renderer R; Adam with learning rate
+    0.01 on the pixels of x and k.
+
+    Ours: the sum runs over random pixels of all views; the error is relative with a floor, and
+    one-sided where a photo is saturated (problem.py); Adam moves log x instead of x; its rate falls
+    tenfold over the run, for a constant one diverges late; the gradient's noise is made independent
+    of the residual's (render/renderer.py, crossed_adjoint); the state returned is the one with the
+    least running mean of the loss, not the last.
+    """
     rng = np.random.default_rng(settings.seed)
-    x = start(problem, settings.texture)
-    materials = Materials(x, settings.learning_rate, problem.roughness_min)
-    log_light = torch.from_numpy(np.log(x.light))
-    light_adam = torch.optim.Adam([log_light], settings.learning_rate, betas=(0.9, 0.99))
-    smooth, best, first = None, (np.inf, x, 0), None
+    first = start(problem, settings.texture)
+    materials = MaterialOptimizer(first, settings.learning_rate, problem.roughness_min)
+    light = LightOptimizer(first.light, settings.learning_rate)
+    best = BestState(settings.steps)
+    losses = []
+
     with Bar("fit", settings.steps) as bar:
-        for k in range(settings.steps):
-            rate = settings.learning_rate * 0.1 ** (
-                k / settings.steps
-            )  # a constant rate diverges late
-            materials.decay(rate)
-            light_adam.param_groups[0]["lr"] = rate
-            x = materials.explanation(torch.exp(log_light).numpy())
-            g = problem.gradient(
-                x, problem.batch(settings.pixels, settings.spp, rng), step_seed(rng)
-            )
-            smooth = g.loss if smooth is None else 0.9 * smooth + 0.1 * g.loss
-            first = g.loss if first is None else first
-            if k >= settings.steps // 2 and smooth < best[0] or k == 0:
-                best = (
-                    smooth if k else np.inf,
-                    Explanation(*(v.copy() for v in vars(x).values())),
-                    k,
-                )
-            log_light.grad = torch.from_numpy(np.ascontiguousarray(g.light * x.light))
-            light_adam.step()
-            materials.step(g)
-            bar.step(f"loss {smooth:.4f}")
-    return best[1], {
-        "loss_start": first,
-        "loss_end": best[0] if np.isfinite(best[0]) else smooth,
-        "best_step": best[2],
+        for step in range(settings.steps):
+            rate = settings.learning_rate * 0.1 ** (step / settings.steps)
+            materials.set_learning_rate(rate)
+            light.set_learning_rate(rate)
+
+            explanation = materials.explanation(light.light())
+            batch = problem.batch(settings.pixels, settings.spp, rng)
+            gradient = problem.gradient(explanation, batch, renderer_seed(rng))
+            best.see(step, explanation, gradient.loss)
+
+            light.step(gradient.light, explanation.light)
+            materials.step(gradient)
+            losses.append(gradient.loss)
+            bar.step(f"loss {best.running_mean:.4f}")
+
+    loss_end = best.loss if np.isfinite(best.loss) else best.running_mean
+    return best.explanation, {
+        "loss_start": losses[0],
+        "loss_end": loss_end,
+        "best_step": best.step,
     }

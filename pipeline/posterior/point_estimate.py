@@ -12,7 +12,9 @@ from pipeline.render.renderer import Explanation, resize_explanation
 def point_estimate(
     problem: Problem, prior, start: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
-    """`map`: the fit itself, the same for every seed."""
-    x = resize_explanation(start, settings.texture)
-    x.light = resample_area(start.light, prior.height, prior.width)
-    return x, {"scale": scale_of(start.light)}
+    """The fit `start`, the same for every seed, at `settings.texture` and the prior's light size;
+    and the light's scale.
+    """
+    explanation = resize_explanation(start, settings.texture)
+    explanation.light = resample_area(start.light, prior.height, prior.width)
+    return explanation, {"scale": scale_of(start.light)}

@@ -1,15 +1,14 @@
-"""What fit, sample and refine share: observations, the renderer, the data term, material steps.
+"""What fit, sample and refine share: observations, the renderer, the data term, random numbers.
 
-Data term, per channel: ((L - y) / (y + SHADE))^2, a relative error with a floor, so that highlights
-do not outweigh the rest (design note `method.md` section 5). A saturated observation is a lower
-bound: no penalty for being brighter.
+Data term, per channel, for radiance L and photo y: ((L - y) / (y + SHADE))^2, a relative error with
+a floor, so that highlights do not outweigh the rest (design note `method.md` section 5). A
+saturated observation is a lower bound: no penalty for being brighter.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 
@@ -17,23 +16,28 @@ from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation, Gradient, Renderer
 
 SHADE = 0.1  # radiance (photo white = 1) below which errors count absolutely
-SMOOTH = 80  # roughness and metallic gradients are blurred by 1 / SMOOTH of the texture's side
 ALBEDO_MAX = 0.98  # a brighter base colour would never come to rest in multi-bounce light
 
 
 @dataclass
-class Batch:
-    """Pixels of one step: rays o, d (spp, n, 3), observed y (n, 3), clipped (n,)."""
+class PixelBatch:
+    """Pixels of one optimisation step.
+
+    index (n,) among the observations; origins, directions (spp, n, 3) of camera rays through them;
+    observed (n, 3) linear radiance; clipped (n,) whether it is only a lower bound.
+    """
 
     index: np.ndarray
-    o: np.ndarray
-    d: np.ndarray
-    y: np.ndarray
+    origins: np.ndarray
+    directions: np.ndarray
+    observed: np.ndarray
     clipped: np.ndarray
 
 
 class Problem:
-    """Draws batches and evaluates the data term with its gradient. `normal_error`: median error of
+    """Draws batches of pixels and evaluates the data term with its gradient.
+
+    roughness_min: least roughness that the light's grid can resolve. normal_error: median error of
     the mesh's normals in radians.
     """
 
@@ -44,122 +48,74 @@ class Problem:
         roughness_min: float,
         normal_error: float = 0.0,
     ):
-        self.observations, self.renderer, self.roughness_min, self.normal_error = (
-            observations,
-            renderer,
-            roughness_min,
-            normal_error,
-        )
+        self.observations = observations
+        self.renderer = renderer
+        self.roughness_min = roughness_min
+        self.normal_error = normal_error
 
     def batch(
         self, pixels: int, spp: int, rng: np.random.Generator, view: int | None = None
-    ) -> Batch:
-        """Random pixels of all views, or of one."""
-        obs = self.observations
-        index = (
-            rng.integers(len(obs), size=pixels)
-            if view is None
-            else rng.choice(np.flatnonzero(obs.view == view), pixels)
+    ) -> PixelBatch:
+        """`pixels` random pixels with `spp` rays each, of all views or of one."""
+        observations = self.observations
+        if view is None:
+            index = rng.integers(len(observations), size=pixels)
+        else:
+            index = rng.choice(np.flatnonzero(observations.view == view), pixels)
+
+        origins, directions = observations.rays(np.broadcast_to(index, (spp, pixels)), rng)
+        return PixelBatch(
+            index, origins, directions, observations.rgb[index], observations.clipped[index]
         )
-        o, d = obs.rays(np.broadcast_to(index, (spp, pixels)), rng)
-        return Batch(index, o, d, obs.rgb[index], obs.clipped[index])
 
     @staticmethod
-    def residual(L: np.ndarray, batch: Batch) -> np.ndarray:
-        """Weighted residual (n, 3); zero where a saturated pixel is exceeded."""
-        r = (L - batch.y) / (batch.y + SHADE)
-        return np.where(batch.clipped[:, None] & (r > 0), 0, r)
+    def residual(radiance: np.ndarray, batch: PixelBatch) -> np.ndarray:
+        """Relative error with a floor (n, 3); zero where a saturated pixel is exceeded."""
+        relative = (radiance - batch.observed) / (batch.observed + SHADE)
+        return without_excess(relative, batch)
 
-    def loss_and_slope(self, batch: Batch):
-        """dloss for `Renderer.gradient`: mean squared weighted residual and its derivative in L."""
+    def relative_loss(self, batch: PixelBatch):
+        """The data term over a batch: a function radiance (n, 3) -> mean squared residual, and its
+        derivative (n, 3) in the radiance.
+        """
 
-        def dloss(L):
-            r = self.residual(L, batch)
-            return float((r**2).mean()), 2 * r / (batch.y + SHADE) / r.size
+        def loss_and_slope(radiance):
+            residual = self.residual(radiance, batch)
+            slope = 2 * residual / (batch.observed + SHADE) / residual.size
+            return float((residual**2).mean()), slope
 
-        return dloss
+        return loss_and_slope
 
-    def gradient(self, x: Explanation, batch: Batch, seed: int, loss=None) -> Gradient:
-        """Of the data term, or of another `loss(L) -> (value, slope in L)`."""
+    def gradient(
+        self, explanation: Explanation, batch: PixelBatch, seed: int, loss_and_slope=None
+    ) -> Gradient:
+        """Of the data term, or of another `loss_and_slope(radiance) -> (loss, slope)`, in light and
+        materials. `seed` fixes the renderer's paths.
+        """
         return self.renderer.gradient(
-            x, batch.o, batch.d, len(batch.y), loss or self.loss_and_slope(batch), seed
+            explanation,
+            batch.origins,
+            batch.directions,
+            len(batch.observed),
+            loss_and_slope or self.relative_loss(batch),
+            seed,
         )
 
 
-class Materials:
-    """Base colour, roughness, metallic as torch parameters under Adam, projected to their valid
-    sets (Eqs. 15-17).
+def without_excess(error: np.ndarray, batch: PixelBatch) -> np.ndarray:
+    """Error (n, 3) of a prediction less the photo; zero where a saturated pixel is exceeded, for
+    that is what saturation allows.
     """
-
-    def __init__(
-        self,
-        x: Explanation,
-        learning_rate,
-        roughness_min: float,
-        names=("base_color", "roughness", "metallic"),
-    ):
-        """learning_rate: one number, or one per name."""
-        self.values = {
-            n: torch.from_numpy(getattr(x, n).copy())
-            for n in ("base_color", "roughness", "metallic")
-        }
-        self.bounds = {
-            "base_color": (0.0, ALBEDO_MAX),
-            "roughness": (roughness_min, 1.0),
-            "metallic": (0.0, 1.0),
-        }
-        self.names = names
-        rates = (
-            learning_rate
-            if isinstance(learning_rate, dict)
-            else dict.fromkeys(names, learning_rate)
-        )
-        self.optimizer = torch.optim.Adam(
-            [{"params": [self.values[n]], "lr": rates[n]} for n in names], betas=(0.9, 0.99)
-        )
-
-    def step(self, gradient: Gradient) -> None:
-        for n in self.names:
-            slope = np.ascontiguousarray(getattr(gradient, n), np.float32)
-            if (
-                n != "base_color"
-            ):  # photos say little about their fine detail: move them as smooth fields
-                slope = cv2.GaussianBlur(slope, (0, 0), max(slope.shape[0] / SMOOTH, 0.5))
-            self.values[n].grad = torch.from_numpy(slope)
-        self.optimizer.step()
-        for n in self.names:
-            self.values[n].clamp_(*self.bounds[n])
-
-    def decay(self, learning_rate: float) -> None:
-        for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate
-
-    def explanation(self, light: np.ndarray) -> Explanation:
-        return Explanation(
-            light, *(self.values[n].numpy() for n in ("base_color", "roughness", "metallic"))
-        )
+    return np.where(batch.clipped[:, None] & (error > 0), 0, error)
 
 
 def generators(settings, seed: int) -> tuple[np.random.Generator, torch.Generator]:
-    """Random numbers of sample `seed`, its own and no other sample's."""
-    return np.random.default_rng([settings.seed, seed]), torch.Generator().manual_seed(
-        settings.seed * 100003 + seed
-    )
+    """Random numbers of sample `seed`, its own and no other sample's: numpy's and torch's."""
+    rng = np.random.default_rng([settings.seed, seed])
+    noise = torch.Generator().manual_seed(settings.seed * 100003 + seed)
+    return rng, noise
 
 
-def guided_result(
-    prior, x: torch.Tensor, scale: float, materials: Materials, first: float, last: float
-) -> tuple[Explanation, dict]:
-    """Explanation and facts of a sampler that ends with the code x (1, 3, h, w)."""
-    with torch.no_grad():
-        light = scale * prior.decode(x)[0].numpy().transpose(1, 2, 0)
-    return materials.explanation(np.ascontiguousarray(light)), {
-        "scale": scale,
-        "loss_first": first,
-        "loss_last": last,
-    }
-
-
-def step_seed(rng: np.random.Generator) -> int:
-    """A fresh 31-bit seed for the renderer."""
+def renderer_seed(rng: np.random.Generator) -> int:
+    """A fresh 31-bit seed for the renderer's paths; every step takes one of its own."""
     return int(rng.integers(1 << 31))

@@ -1,7 +1,8 @@
-"""SAMPLERS: name -> function(problem, prior, start, settings, seed) -> Explanation, facts.
+"""SAMPLERS: every sampler by the name that a scene's `sample.method` gives.
 
-`split_gibbs` is the default (base/config.py, Sample.method). To add one, write such a function and
-add a line here.
+A sampler is a function (problem, prior, start, settings, seed) -> Explanation, facts, with `start`
+the fit. `split_gibbs` is the default (base/config.py, Sample.method). To add one, write such a
+function and add a line here.
 """
 
 from pipeline.posterior.dpi.as_published import dpi_paper

@@ -1,5 +1,6 @@
-"""Between texture maps and values at texture coordinates: splat, gather, fill. Row 0 of a map is v
-= 1.
+"""Between texture maps and values at texture coordinates: splat, gather, fill.
+
+Row 0 of a map is v = 1. Texel centres lie at +0.5.
 """
 
 from __future__ import annotations
@@ -8,37 +9,50 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
+REMAP_SIDE = 16384  # cv2.remap takes no more than 32767 values a side
+
+
+def texel_position(uv: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Column and row (n,) of texture coordinates (n, 2) in a map of side `size`, 0 at the centre of
+    the first texel.
+    """
+    return uv[:, 0] * size - 0.5, (1 - uv[:, 1]) * size - 0.5
+
 
 def splat(uv: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
-    """Add values (n, c) bilinearly into a (size, size, c) texture, row 0 is v = 1."""
-    x, y = uv[:, 0] * size - 0.5, (1 - uv[:, 1]) * size - 0.5
-    out = np.zeros((size * size, values.shape[1]))
-    for dx in (0, 1):
-        for dy in (0, 1):
-            i, j = np.floor(x).astype(int) + dx, np.floor(y).astype(int) + dy
-            weight = (1 - np.abs(x - i)) * (1 - np.abs(y - j))
-            flat = np.clip(j, 0, size - 1) * size + np.clip(i, 0, size - 1)
-            for c in range(values.shape[1]):
-                out[:, c] += np.bincount(flat, weight * values[:, c], size * size)
-    return out.reshape(size, size, -1)
+    """Add values (n, c) at uv (n, 2) bilinearly into a map (size, size, c)."""
+    x, y = texel_position(uv, size)
+    channels = values.shape[1]
+    total = np.zeros((size * size, channels))
+
+    for right, down in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        column = np.floor(x).astype(int) + right
+        row = np.floor(y).astype(int) + down
+        weight = (1 - np.abs(x - column)) * (1 - np.abs(y - row))
+        texel = np.clip(row, 0, size - 1) * size + np.clip(column, 0, size - 1)
+        for c in range(channels):
+            total[:, c] += np.bincount(texel, weight * values[:, c], size * size)
+    return total.reshape(size, size, -1)
 
 
 def gather(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Bilinear values (n, c) of a texture (t, t, c), the adjoint of `splat`."""
-    size = image.shape[0]
+    """Bilinear values (n, c) of a map (t, t, c) at uv (n, 2), the adjoint of `splat`."""
+    count = len(uv)
+    rows = -(-count // REMAP_SIDE)  # rounded up
+    padding = (0, rows * REMAP_SIDE - count)
     x, y = (
-        (uv[:, 0] * size - 0.5).astype(np.float32),
-        ((1 - uv[:, 1]) * size - 0.5).astype(np.float32),
+        np.pad(position.astype(np.float32), padding).reshape(rows, REMAP_SIDE)
+        for position in texel_position(uv, image.shape[0])
     )
-    rows = -(-len(uv) // 16384)  # cv2.remap limits each side to 32767
-    x, y = (np.pad(v, (0, rows * 16384 - len(uv))).reshape(rows, 16384) for v in (x, y))
-    return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).reshape(
-        rows * 16384, -1
-    )[: len(uv)]
+
+    values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return values.reshape(rows * REMAP_SIDE, -1)[:count]
 
 
 def fill(image: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Nearest known texel's value for unknown ones: chart borders and parts that no photo shows."""
+    """Nearest known texel's value for unknown ones: chart borders and parts that no photo shows.
+    Without any known texel, the image as it is.
+    """
     if not known.any():
         return image
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)

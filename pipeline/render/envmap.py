@@ -1,7 +1,7 @@
 """Lat-long environment maps: directions, solid angles, resampling, and Mitsuba's storage of them.
 
 Frame: row 0 = +Y; u = 0.5 - lon / 2 pi with lon = atan2(x, z); v = 0.5 - lat / pi; pixel centres at
-+0.5. Arrays are (h, w, 3) radiance with w = 2 h, float32.
++0.5. Maps are (h, w, 3) radiance with w = 2 h, float32.
 """
 
 from __future__ import annotations
@@ -15,27 +15,36 @@ def direction_from_uv(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Unit vectors (..., 3) of lat-long coordinates u, v in [0, 1], broadcast against each
     other.
     """
-    lat, lon = np.pi * (0.5 - v), 2 * np.pi * (0.5 - u)
-    c = np.cos(lat)
-    return np.stack(np.broadcast_arrays(c * np.sin(lon), np.sin(lat), c * np.cos(lon)), -1)
+    latitude = np.pi * (0.5 - v)
+    longitude = 2 * np.pi * (0.5 - u)
+    ring = np.cos(latitude)
+
+    x = ring * np.sin(longitude)
+    y = np.sin(latitude)
+    z = ring * np.cos(longitude)
+    return np.stack(np.broadcast_arrays(x, y, z), -1)
 
 
 def directions(h: int, w: int) -> np.ndarray:
     """Unit vectors through the pixel centres, (h, w, 3)."""
-    return direction_from_uv((np.arange(w) + 0.5) / w, ((np.arange(h) + 0.5) / h)[:, None])
+    u = (np.arange(w) + 0.5) / w
+    v = (np.arange(h) + 0.5) / h
+    return direction_from_uv(u, v[:, None])
 
 
-def uv_from_direction(d: np.ndarray) -> np.ndarray:
-    """Directions (..., 3) -> (u, v) in [0, 1)."""
-    d = d / np.linalg.norm(d, axis=-1, keepdims=True)
-    u = 0.5 - np.arctan2(d[..., 0], d[..., 2]) / (2 * np.pi)
-    return np.stack([u % 1.0, 0.5 - np.arcsin(np.clip(d[..., 1], -1, 1)) / np.pi], -1)
+def uv_from_direction(direction: np.ndarray) -> np.ndarray:
+    """Directions (..., 3) of any length -> (u, v) in [0, 1), (..., 2)."""
+    unit = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    u = 0.5 - np.arctan2(unit[..., 0], unit[..., 2]) / (2 * np.pi)
+    v = 0.5 - np.arcsin(np.clip(unit[..., 1], -1, 1)) / np.pi
+    return np.stack([u % 1.0, v], -1)
 
 
 def solid_angles(h: int, w: int) -> np.ndarray:
     """Solid angle of every pixel in steradians, (h, w); sums to 4 pi exactly."""
-    edges = np.sin(np.pi * (0.5 - np.arange(h + 1) / h))
-    return np.broadcast_to(((edges[:-1] - edges[1:]) * 2 * np.pi / w)[:, None], (h, w))
+    sines = np.sin(np.pi * (0.5 - np.arange(h + 1) / h))
+    per_row = (sines[:-1] - sines[1:]) * 2 * np.pi / w
+    return np.broadcast_to(per_row[:, None], (h, w))
 
 
 def mean_radiance(env: np.ndarray) -> np.ndarray:
@@ -44,21 +53,25 @@ def mean_radiance(env: np.ndarray) -> np.ndarray:
     return (env * weights[..., None]).sum((0, 1)) / (4 * np.pi)
 
 
-def _overlap(n: int, m: int, edges_n: np.ndarray, edges_m: np.ndarray) -> np.ndarray:
-    """(m, n) share of target interval i that source interval j covers."""
-    low = np.maximum(edges_m[:-1, None], edges_n[None, :-1])
-    high = np.minimum(edges_m[1:, None], edges_n[None, 1:])
-    return np.clip(high - low, 0, None) / (edges_m[1:] - edges_m[:-1])[:, None]
+def _covered(source_edges: np.ndarray, target_edges: np.ndarray) -> np.ndarray:
+    """Share of target interval i that source interval j covers, (targets, sources)."""
+    low = np.maximum(target_edges[:-1, None], source_edges[None, :-1])
+    high = np.minimum(target_edges[1:, None], source_edges[None, 1:])
+    length = target_edges[1:] - target_edges[:-1]
+    return np.clip(high - low, 0, None) / length[:, None]
 
 
 def resample_area(env: np.ndarray, h: int, w: int) -> np.ndarray:
     """Average over solid angle to (h, w): the flux, sum of L dOmega, is kept exactly, so no sun
     loses energy.
     """
-    H, W = env.shape[:2]
-    sines = lambda n: 1 - np.sin(np.pi * (0.5 - np.arange(n + 1) / n))
-    rows = _overlap(H, h, sines(H), sines(h))
-    columns = _overlap(W, w, np.arange(W + 1) / W, np.arange(w + 1) / w)
+    source_h, source_w = env.shape[:2]
+    # equal steps of the latitude's sine are equal solid angles
+    row_edges = lambda n: 1 - np.sin(np.pi * (0.5 - np.arange(n + 1) / n))
+    column_edges = lambda n: np.arange(n + 1) / n
+
+    rows = _covered(row_edges(source_h), row_edges(h))
+    columns = _covered(column_edges(source_w), column_edges(w))
     return np.einsum("ij,jkc,lk->ilc", rows, env, columns, optimize=True).astype(np.float32)
 
 
@@ -75,7 +88,12 @@ def mirror(env: np.ndarray) -> np.ndarray:
 def sh_coefficients(env: np.ndarray, order: int = 2) -> np.ndarray:
     """Real spherical-harmonic coefficients up to `order` <= 2, ((order + 1)^2, 3), band by band, m
     = -l..l, Y-up.
+
+    Raises ValueError for higher orders.
     """
+    if order > 2:
+        raise ValueError("orders above 2 are not implemented")
+
     x, y, z = np.moveaxis(directions(*env.shape[:2]), -1, 0)
     basis = [
         0.282095 * np.ones_like(x),
@@ -88,12 +106,10 @@ def sh_coefficients(env: np.ndarray, order: int = 2) -> np.ndarray:
         1.092548 * y * z,
         0.546274 * (z * z - x * x),
     ]
-    if order > 2:
-        raise ValueError("orders above 2 are not implemented")
+
     weights = solid_angles(*env.shape[:2])
-    return np.stack(
-        [(env * (b * weights)[..., None]).sum((0, 1)) for b in basis[: (order + 1) ** 2]]
-    )
+    project = lambda function: (env * (function * weights)[..., None]).sum((0, 1))
+    return np.stack([project(function) for function in basis[: (order + 1) ** 2]])
 
 
 def _twice_the_rows(env: np.ndarray) -> np.ndarray:
@@ -103,7 +119,8 @@ def _twice_the_rows(env: np.ndarray) -> np.ndarray:
     out = np.empty((2 * len(env) + 1,) + env.shape[1:], env.dtype)
     out[1::2] = env
     out[2:-1:2] = 0.5 * (env[:-1] + env[1:])
-    out[0], out[-1] = env[0], env[-1]
+    out[0] = env[0]
+    out[-1] = env[-1]
     return out
 
 
@@ -124,12 +141,14 @@ def mitsuba_gradient(gradient: np.ndarray) -> np.ndarray:
 
     Mitsuba refreshes the border columns itself and folds their gradient into the interior.
     """
-    g = gradient[:, 1:-1]
-    out = g[1::2].copy()
-    out[:-1] += 0.5 * g[2:-1:2]
-    out[1:] += 0.5 * g[2:-1:2]
-    out[0] += g[0]
-    out[-1] += g[-1]
+    interior = gradient[:, 1:-1]
+    between = interior[2:-1:2]
+
+    out = interior[1::2].copy()
+    out[:-1] += 0.5 * between
+    out[1:] += 0.5 * between
+    out[0] += interior[0]
+    out[-1] += interior[-1]
     return out
 
 
@@ -139,11 +158,13 @@ def check_lat_long(env: np.ndarray, where) -> np.ndarray:
         raise InputError(
             f"expected three channels, got an array of shape {env.shape}", where, "save it as RGB"
         )
+
     h, w = env.shape[:2]
     if abs(w / h - 2) > 0.04:
         raise InputError(
             f"{w}x{h} is not a 2:1 lat-long map", where, "convert it to equirectangular projection"
         )
+
     if not np.isfinite(env).all() or env.min() < 0:
         raise InputError(
             "holds NaN, infinite or negative radiance",

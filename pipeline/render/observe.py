@@ -21,24 +21,29 @@ from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.geometry.cameras import Rig, View, load_cameras
 
+SATURATED = 0.98  # share of a view's clip level from which a pixel counts as saturated
+FEWEST_PIXELS = 100
+
 
 def hold_out(rig: Rig, share: float, seed: int) -> list[str]:
-    """Names kept for scoring: the scene's own test views, else a random share (at least one from 8
-    views on).
+    """Names of the views kept for scoring: the scene's own test views, else a random share of all
+    (at least one from 8 views on).
     """
-    test = [v.name for v in rig.views if v.split == "test"]
-    names = [v.name for v in rig.fit_views()]
+    test = [view.name for view in rig.views if view.split == "test"]
+    names = [view.name for view in rig.fit_views()]
     if test or share == 0:
         return test
-    count = max(round(share * len(names)), 1 if len(names) >= 8 else 0)
+
+    least = 1 if len(names) >= 8 else 0
+    count = max(round(share * len(names)), least)
     return sorted(np.random.default_rng(seed).choice(names, count, replace=False).tolist())
 
 
 def inner_mask(mask: np.ndarray, erode: float) -> np.ndarray:
     """The mask without a rim of `erode` pixels, where photos mix object and background."""
-    return (
-        cv2.distanceTransform(np.pad(mask.astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1] > erode
-    )
+    framed = np.pad(mask.astype(np.uint8), 1)  # the picture's border counts as background
+    to_background = cv2.distanceTransform(framed, cv2.DIST_L2, 5)
+    return to_background[1:-1, 1:-1] > erode
 
 
 class Tracer:
@@ -47,80 +52,118 @@ class Tracer:
     def __init__(self, mesh: Path):
         from pipeline.base.runtime import mitsuba as mi
 
-        self.scene = mi.load_dict(
-            {
-                "type": "scene",
-                "obj": {"type": "ply", "filename": str(mesh), "flip_tex_coords": False},
-            }
-        )
+        surface = {"type": "ply", "filename": str(mesh), "flip_tex_coords": False}
+        self.scene = mi.load_dict({"type": "scene", "obj": surface})
 
-    def hit(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def hit(
+        self, origins: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays (n, 3) -> uv (n, 2) with v up, cosine of incidence (n,), and which rays hit (n,)."""
-        si = self.scene.ray_intersect(mitsuba_rays(o, d))
-        cosine = np.abs((np.array(si.n).T.reshape(-1, 3) * d).sum(-1))
+        si = self.scene.ray_intersect(mitsuba_rays(origins, directions))
+        normal = np.array(si.n).T.reshape(-1, 3)
+        cosine = np.abs((normal * directions).sum(-1))
         return np.array(si.uv).T.reshape(-1, 2), cosine, np.array(si.is_valid()).astype(bool)
 
 
-def make_observations(poses: Path, masks: Path, mesh: Path, out: Path, settings: Observe) -> dict:
-    """Draw `settings.pixels` pixels evenly over the masked pixels of all fit views; write
-    observations.npz.
+def object_pixels(views: list[View], masks: Path, erode: float) -> list[np.ndarray]:
+    """Row and column (k, 2) of the pixels inside each view's mask.
+
+    Raises InputError if all views together have next to none.
     """
-    rig = load_cameras(poses / "cameras.json")
-    held = hold_out(rig, settings.held_out, settings.seed)
-    views = [v for v in rig.fit_views() if v.name not in held]
-    candidates = [
-        np.argwhere(inner_mask(read_png(masks / "masks" / f"{v.name}.png") > 127, settings.erode))
-        for v in views
-    ]
-    total = sum(len(c) for c in candidates)
-    if total < 100:
+    inside = []
+    for view in views:
+        mask = read_png(masks / "masks" / f"{view.name}.png") > 127
+        inside.append(np.argwhere(inner_mask(mask, erode)))
+
+    if sum(len(pixels) for pixels in inside) < FEWEST_PIXELS:
         raise InputError(
-            "the masks leave fewer than 100 pixels",
+            f"the masks leave fewer than {FEWEST_PIXELS} pixels",
             masks,
             "check masks/overlay.jpg; lower observe.erode",
         )
-    rng, tracer = np.random.default_rng(settings.seed), Tracer(mesh)
-    columns = {"view": [], "pixel": [], "rgb": [], "clipped": [], "uv": [], "cosine": []}
-    missed = 0
-    for k, (view, all_of_it) in enumerate(zip(progress(views, "observations"), candidates)):
-        count = min(len(all_of_it), round(settings.pixels * len(all_of_it) / total))
-        rows, cols = all_of_it[np.sort(rng.choice(len(all_of_it), count, replace=False))].T
-        uv, cosine, hit = tracer.hit(*view.rays(np.stack([cols + 0.5, rows + 0.5], -1)))
-        rows, cols, uv, cosine, missed = (
-            rows[hit],
-            cols[hit],
-            uv[hit],
-            cosine[hit],
-            missed + (~hit).sum(),
-        )
-        rgb = read_exr(poses / view.image)[rows, cols]
-        for name, value in (
-            ("view", np.full(len(rows), k, np.uint16)),
-            ("pixel", np.stack([cols, rows], -1).astype(np.uint16)),
-            ("rgb", rgb.astype(np.float32)),
-            ("clipped", rgb.max(-1) >= 0.98 * view.clip_level),
-            ("uv", uv.astype(np.float32)),
-            ("cosine", cosine.astype(np.float32)),
-        ):
-            columns[name].append(value)
-    table = {name: np.concatenate(parts) for name, parts in columns.items()}
+    return inside
+
+
+def observe_view(
+    view: View, number: int, photo: np.ndarray, pixels: np.ndarray, tracer: Tracer
+) -> dict[str, np.ndarray]:
+    """The table's columns for `pixels` (k, 2), row and column, of one view; without those whose ray
+    passes the mesh by.
+    """
+    rows, columns = pixels.T
+    centres = np.stack([columns + 0.5, rows + 0.5], -1)
+    uv, cosine, hit = tracer.hit(*view.rays(centres))
+
+    rows = rows[hit]
+    columns = columns[hit]
+    rgb = photo[rows, columns]
+    return {
+        "view": np.full(len(rows), number, np.uint16),
+        "pixel": np.stack([columns, rows], -1).astype(np.uint16),
+        "rgb": rgb.astype(np.float32),
+        "clipped": rgb.max(-1) >= SATURATED * view.clip_level,
+        "uv": uv[hit].astype(np.float32),
+        "cosine": cosine[hit].astype(np.float32),
+    }
+
+
+def observe_views(
+    views: list[View], poses: Path, masks: Path, mesh: Path, settings: Observe
+) -> tuple[dict[str, np.ndarray], int]:
+    """The table over all `views`, and how many pixels were drawn for it. Every masked pixel has the
+    same chance.
+
+    Raises InputError where no pixel is left.
+    """
+    inside = object_pixels(views, masks, settings.erode)
+    total = sum(len(pixels) for pixels in inside)
+    rng = np.random.default_rng(settings.seed)
+    tracer = Tracer(mesh)
+    parts = []
+    drawn = 0
+
+    for number, view in enumerate(progress(views, "observations")):
+        pixels = inside[number]
+        count = min(len(pixels), round(settings.pixels * len(pixels) / total))
+        chosen = pixels[np.sort(rng.choice(len(pixels), count, replace=False))]
+        photo = read_exr(poses / view.image)
+        parts.append(observe_view(view, number, photo, chosen, tracer))
+        drawn += count
+
+    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     if not len(table["view"]):
         raise InputError(
             "no masked pixel's ray meets the mesh",
             mesh,
             "check that mesh and cameras share one frame",
         )
+    return table, drawn
+
+
+def make_observations(poses: Path, masks: Path, mesh: Path, out: Path, settings: Observe) -> dict:
+    """Draw `settings.pixels` pixels evenly over the masked pixels of all fit views; write
+    observations.npz and return its facts.
+
+    Raises InputError where masks, mesh and cameras leave nothing to observe.
+    """
+    rig = load_cameras(poses / "cameras.json")
+    held_out = hold_out(rig, settings.held_out, settings.seed)
+    views = [view for view in rig.fit_views() if view.name not in held_out]
+
+    table, drawn = observe_views(views, poses, masks, mesh, settings)
     np.savez(
         out / "observations.npz",
         **table,
-        views=np.array([v.name for v in views]),
-        held_out=np.array(held),
+        views=np.array([view.name for view in views]),
+        held_out=np.array(held_out),
     )
+
+    count = len(table["view"])
     return {
-        "pixels": len(table["view"]),
+        "pixels": count,
         "views": len(views),
-        "held_out": held,
-        "missed_share": float(missed / (missed + len(table["view"]))),
+        "held_out": held_out,
+        "missed_share": float((drawn - count) / drawn),
         "clipped_share": float(table["clipped"].mean()),
     }
 
@@ -130,32 +173,45 @@ class Observations:
 
     def __init__(self, folder: Path, cameras: Path):
         data = np.load(Path(folder) / "observations.npz")
-        self.view, self.pixel, self.rgb = data["view"].astype(int), data["pixel"], data["rgb"]
-        self.clipped, self.uv, self.cosine = data["clipped"], data["uv"], data["cosine"]
+        self.view = data["view"].astype(int)
+        self.pixel = data["pixel"]
+        self.rgb = data["rgb"]
+        self.clipped = data["clipped"]
+        self.uv = data["uv"]
+        self.cosine = data["cosine"]
+
         self.rig = load_cameras(cameras)
-        by_name = {v.name: v for v in self.rig.views}
-        self.views: list[View] = [by_name[n] for n in data["views"]]
-        self.held_out: list[View] = [by_name[n] for n in data["held_out"]]
-        self.origin = np.stack([v.position for v in self.views])
-        self.turn = np.stack([v.world_to_camera[:3, :3] for v in self.views])
-        self.lens = np.array([[v.fx, v.fy, v.cx, v.cy] for v in self.views])
+        by_name = {view.name: view for view in self.rig.views}
+        self.views: list[View] = [by_name[name] for name in data["views"]]
+        self.held_out: list[View] = [by_name[name] for name in data["held_out"]]
+
+        self.origin = np.stack([view.position for view in self.views])
+        self.turn = np.stack([view.world_to_camera[:3, :3] for view in self.views])
+        self.lens = np.array([[view.fx, view.fy, view.cx, view.cy] for view in self.views])
 
     def __len__(self) -> int:
         return len(self.view)
 
     def rays(self, index: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """One ray through a random point of each pixel of `index` (any shape (...,)): o, d (...,
-        3).
+        """One ray through a random point of each pixel of `index` (any shape (...,)): origins,
+        directions (..., 3), world frame.
         """
         return self._rays_at(index, rng.random(index.shape + (2,)))
 
     def centre_rays(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The ray through the centre of each pixel of `index` (any shape (...,)): o, d (..., 3)."""
+        """The ray through the centre of each pixel of `index` (any shape (...,)): origins,
+        directions (..., 3), world frame.
+        """
         return self._rays_at(index, 0.5)
 
     def _rays_at(self, index: np.ndarray, offset) -> tuple[np.ndarray, np.ndarray]:
-        k, at = self.view[index], self.pixel[index] + offset
-        fx, fy, cx, cy = np.moveaxis(self.lens[k], -1, 0)
-        d = np.stack([(at[..., 0] - cx) / fx, (at[..., 1] - cy) / fy, np.ones(index.shape)], -1)
-        d /= np.linalg.norm(d, axis=-1, keepdims=True)
-        return self.origin[k], np.einsum("...i,...ij->...j", d, self.turn[k])
+        """Rays through the pixels' corners of least column and row, plus `offset`."""
+        view = self.view[index]
+        at = self.pixel[index] + offset
+        fx, fy, cx, cy = np.moveaxis(self.lens[view], -1, 0)
+
+        in_camera = np.stack(
+            [(at[..., 0] - cx) / fx, (at[..., 1] - cy) / fy, np.ones(index.shape)], -1
+        )
+        in_camera /= np.linalg.norm(in_camera, axis=-1, keepdims=True)
+        return self.origin[view], np.einsum("...i,...ij->...j", in_camera, self.turn[view])

@@ -5,8 +5,8 @@ Mitsuba 3, `principled` BSDF (specular 0.5 = index of refraction 1.5, all else 0
 (Vicini et al. 2021). Pixels are drawn over all views at once and rendered as one batch of camera
 rays, no film involved.
 
-Letters: o, d (n, 3) camera rays; L (n, 3) radiance; light (h, 2h, 3) lat-long radiance, row 0 = +Y;
-base_color (t, t, 3), roughness, metallic (t, t) in [0, 1], row 0 is v = 1.
+Shapes: origins, directions (n, 3) of camera rays; radiance (n, 3); light (h, 2h, 3) lat-long
+radiance, row 0 = +Y; base_color (t, t, 3), roughness, metallic (t, t) in [0, 1], row 0 is v = 1.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+import cv2
 import drjit as dr
 import numpy as np
 
@@ -43,12 +44,17 @@ class Explanation:
 
     def save(self, folder: Path) -> None:
         """light.exr, base_color.exr, roughness.exr, metallic.exr, 32-bit float."""
-        for f in fields(self):
-            write_exr(folder / f"{f.name}.exr", getattr(self, f.name))
+        for part in fields(self):
+            write_exr(folder / f"{part.name}.exr", getattr(self, part.name))
 
     @classmethod
     def load(cls, folder: Path) -> Explanation:
-        return cls(*(read_exr(Path(folder) / f"{f.name}.exr") for f in fields(cls)))
+        """What `save` wrote."""
+        return cls(*(read_exr(Path(folder) / f"{part.name}.exr") for part in fields(cls)))
+
+    def copy(self) -> Explanation:
+        """The same values in arrays of its own."""
+        return Explanation(*(getattr(self, part.name).copy() for part in fields(self)))
 
 
 @dataclass
@@ -64,164 +70,185 @@ class Gradient:
     loss: float
 
 
+def _blank_texture(side: int, channels: int) -> dict:
+    """A texture that `Renderer.set` fills."""
+    return {
+        "type": "bitmap",
+        "raw": True,
+        "wrap_mode": "clamp",
+        "data": mi.TensorXf(np.full((side, side, channels), 0.5, np.float32)),
+    }
+
+
+def _scene(mesh: Path, texture: int, light_height: int):
+    """Mitsuba scene of a mesh with blank textures of side `texture` under a constant light."""
+    light = np.ones((2 * light_height + 1, 2 * light_height, 3), np.float32)  # as `to_mitsuba`
+    material = {
+        "type": "principled",
+        "specular": 0.5,
+        "base_color": _blank_texture(texture, 3),
+        "roughness": _blank_texture(texture, 1),
+        "metallic": _blank_texture(texture, 1),
+    }
+    surface = {
+        "type": "ply",
+        "filename": str(mesh),
+        "flip_tex_coords": True,
+        "bsdf": {"type": "twosided", "b": material},
+    }
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "light": {"type": "envmap", "bitmap": mi.Bitmap(light)},
+            "obj": surface,
+        }
+    )
+
+
+def crossed_adjoint(paths: np.ndarray, loss_and_slope) -> tuple[float, np.ndarray]:
+    """Loss, and its derivative (spp pixels, 3) in every path's radiance; paths (spp, pixels, 3).
+
+    The two halves of the paths give independent estimates A and B of each pixel. A's paths are
+    differentiated with the residual of B and the other way round, so that noise in the residual and
+    noise in the derivative are independent and the gradient of a quadratic loss is unbiased.
+    """
+    spp, pixels, _ = paths.shape
+    half = spp // 2
+    loss_a, slope_a = loss_and_slope(paths[:half].mean(0))
+    loss_b, slope_b = loss_and_slope(paths[half:].mean(0))
+
+    for_a = np.broadcast_to(slope_b / spp, (half, pixels, 3))
+    for_b = np.broadcast_to(slope_a / spp, (half, pixels, 3))
+    return 0.5 * (loss_a + loss_b), np.concatenate([for_a, for_b]).reshape(-1, 3)
+
+
 class Renderer:
     """A mesh with textures of side `texture` under a light of `light_height` rows.
 
     max_depth counts as in Mitsuba: 2 = direct light only, 4 = up to three surface interactions.
+    Raises InputError where the mesh does not exist.
     """
 
     def __init__(self, mesh: Path, texture: int, light_height: int, max_depth: int):
         if not Path(mesh).exists():
             raise InputError("the mesh does not exist", mesh, "run the atlas stage first")
-        blank = lambda channels: {
-            "type": "bitmap",
-            "raw": True,
-            "wrap_mode": "clamp",
-            "data": mi.TensorXf(np.full((texture, texture, channels), 0.5, np.float32)),
-        }
-        self.scene = mi.load_dict(
-            {
-                "type": "scene",
-                "light": {
-                    "type": "envmap",
-                    "bitmap": mi.Bitmap(
-                        np.ones((2 * light_height + 1, 2 * light_height, 3), np.float32)
-                    ),
-                },
-                "obj": {
-                    "type": "ply",
-                    "filename": str(mesh),
-                    "flip_tex_coords": True,
-                    "bsdf": {
-                        "type": "twosided",
-                        "b": {
-                            "type": "principled",
-                            "specular": 0.5,
-                            "base_color": blank(3),
-                            "roughness": blank(1),
-                            "metallic": blank(1),
-                        },
-                    },
-                },
-            }
-        )
+        self.mesh = Path(mesh)
+        self.max_depth = max_depth
+        self.texture = texture
+        self.light_shape = (light_height, 2 * light_height, 3)
+
+        self.scene = _scene(self.mesh, texture, light_height)
         self.params = mi.traverse(self.scene)
         self.params.keep(list(KEYS.values()))
-        self.mesh, self.max_depth = Path(mesh), max_depth
-        self.texture, self.light_shape = texture, (light_height, 2 * light_height, 3)
         self.integrator = mi.load_dict(
             {"type": "prb", "max_depth": max_depth, "rr_depth": 1000, "hide_emitters": True}
         )
 
-    def _tensors(self, x: Explanation) -> dict:
-        flat = {
-            "light": to_mitsuba(x.light),
-            "base_color": x.base_color,
-            "roughness": x.roughness[..., None],
-            "metallic": x.metallic[..., None],
+    def set(self, explanation: Explanation, differentiable: bool = False) -> dict:
+        """Load an explanation into the scene; returns the tensors, by name, that gradients arrive
+        at.
+        """
+        arrays = {
+            "light": to_mitsuba(explanation.light),
+            "base_color": explanation.base_color,
+            "roughness": explanation.roughness[..., None],
+            "metallic": explanation.metallic[..., None],
         }
-        return {
-            name: mi.TensorXf(np.ascontiguousarray(value, np.float32))
-            for name, value in flat.items()
-        }
-
-    def set(self, x: Explanation, differentiable: bool = False) -> dict:
-        """Load an explanation into the scene; returns the leaves that gradients arrive at."""
-        leaves = self._tensors(x)
-        for name, leaf in leaves.items():
+        leaves = {}
+        for name, array in arrays.items():
+            leaf = mi.TensorXf(np.ascontiguousarray(array, np.float32))
             if differentiable:
                 dr.enable_grad(leaf)
             self.params[KEYS[name]] = leaf
+            leaves[name] = leaf
+
         self.params.update()
         return leaves
 
-    def _trace(self, mode, o, d, seed: int, adjoint=None, state=None):
-        rays = mitsuba_rays(o, d)
+    def _trace(self, mode, origins, directions, seed: int, adjoint=None, state=None):
         sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed, len(o))
+        sampler.seed(seed, len(origins))
         return self.integrator.sample(
             mode=mode,
             scene=self.scene,
             sampler=sampler,
-            ray=rays,
+            ray=mitsuba_rays(origins, directions),
             δL=adjoint,
             state_in=state,
             active=mi.Bool(True),
         )
 
-    def radiance(self, o: np.ndarray, d: np.ndarray, seed: int) -> np.ndarray:
+    def radiance(self, origins: np.ndarray, directions: np.ndarray, seed: int) -> np.ndarray:
         """One path per ray: (n, 3). The scene is what `set` was last given."""
         with dr.suspend_grad():
-            L = self._trace(dr.ADMode.Primal, o, d, seed)[0]
-            return np.array(L).T.reshape(-1, 3)
+            radiance = self._trace(dr.ADMode.Primal, origins, directions, seed)[0]
+            return np.array(radiance).T.reshape(-1, 3)
 
     def mean_radiance(self, rays, spp: int, seed: int, chunk: int = 1 << 19) -> np.ndarray:
-        """Average of `spp` paths per pixel, (n, 3). `rays(rng)` gives freshly jittered o, d (n,
-        3).
+        """Average of `spp` paths per pixel, (n, 3). `rays(rng)` gives freshly jittered origins and
+        directions (n, 3). The scene is what `set` was last given.
         """
         rng = np.random.default_rng(seed)
         total = 0.0
         for k in range(spp):
-            o, d = rays(rng)
+            origins, directions = rays(rng)
             parts = [
-                self.radiance(o[i : i + chunk], d[i : i + chunk], seed * 4099 + k)
-                for i in range(0, len(o), chunk)
+                self.radiance(origins[i : i + chunk], directions[i : i + chunk], seed * 4099 + k)
+                for i in range(0, len(origins), chunk)
             ]
             total = total + np.concatenate(parts)
         return total / spp
 
     def gradient(
-        self, x: Explanation, o: np.ndarray, d: np.ndarray, pixels: int, dloss, seed: int
+        self,
+        explanation: Explanation,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        pixels: int,
+        loss_and_slope,
+        seed: int,
     ) -> Gradient:
-        """Unbiased gradient of a quadratic loss over `pixels` pixels.
+        """Unbiased gradient of a quadratic loss over `pixels` pixels (see `crossed_adjoint`).
 
-        o, d: (spp, pixels, 3) with spp even. `dloss(L) -> (loss, dloss/dL)` for mean radiance L
-        (pixels, 3). The two halves of the paths give independent estimates A and B; A's paths are
-        differentiated with the residual of B and the other way round, so that noise in the residual
-        and in the derivative is independent.
+        origins, directions: (spp, pixels, 3) with spp even. `loss_and_slope(radiance) -> (loss,
+        derivative of the loss in radiance)` for the mean radiance (pixels, 3).
         """
-        spp = o.shape[0]
-        leaves = self.set(x, differentiable=True)
-        o, d = o.reshape(-1, 3), d.reshape(-1, 3)
+        spp = origins.shape[0]
+        leaves = self.set(explanation, differentiable=True)
+        origins = origins.reshape(-1, 3)
+        directions = directions.reshape(-1, 3)
+
         with dr.suspend_grad():
-            L, _, _, state = self._trace(dr.ADMode.Primal, o, d, seed)
-            dr.eval(L, state)
-            paths = np.array(L).T.reshape(spp, pixels, 3)
-            a, b = paths[: spp // 2].mean(0), paths[spp // 2 :].mean(0)
-            (loss_a, grad_a), (loss_b, grad_b) = dloss(a), dloss(b)
-            adjoint = np.concatenate(
-                [
-                    np.broadcast_to(grad_b / spp, (spp // 2, pixels, 3)),
-                    np.broadcast_to(grad_a / spp, (spp // 2, pixels, 3)),
-                ]
-            ).reshape(-1, 3)
-            self._trace(
-                dr.ADMode.Backward,
-                o,
-                d,
-                seed,
-                mi.Color3f(np.ascontiguousarray(adjoint.T, np.float32)),
-                state,
-            )
-        g = {
-            name: np.nan_to_num(np.array(dr.grad(leaf)), nan=0.0, posinf=0.0, neginf=0.0)
-            for name, leaf in leaves.items()
-        }
+            radiance, _, _, state = self._trace(dr.ADMode.Primal, origins, directions, seed)
+            dr.eval(radiance, state)
+            paths = np.array(radiance).T.reshape(spp, pixels, 3)
+            loss, slope = crossed_adjoint(paths, loss_and_slope)
+
+            adjoint = mi.Color3f(np.ascontiguousarray(slope.T, np.float32))
+            self._trace(dr.ADMode.Backward, origins, directions, seed, adjoint, state)
+
+        # the derivative of a path over a mirror or at a grazing angle may overflow: one such path
+        # must not spoil the whole map
+        finite = lambda leaf: np.nan_to_num(
+            np.array(dr.grad(leaf)), nan=0.0, posinf=0.0, neginf=0.0
+        )
         return Gradient(
-            mitsuba_gradient(g["light"]),
-            g["base_color"],
-            g["roughness"][..., 0],
-            g["metallic"][..., 0],
-            0.5 * (loss_a + loss_b),
+            mitsuba_gradient(finite(leaves["light"])),
+            finite(leaves["base_color"]),
+            finite(leaves["roughness"])[..., 0],
+            finite(leaves["metallic"])[..., 0],
+            loss,
         )
 
 
-def resize_explanation(x: Explanation, texture: int) -> Explanation:
+def resize_explanation(explanation: Explanation, texture: int) -> Explanation:
     """The same maps at another texture size (area down, linear up)."""
-    import cv2
-
-    how = cv2.INTER_AREA if texture < x.roughness.shape[0] else cv2.INTER_LINEAR
-    scale = lambda image: cv2.resize(image, (texture, texture), interpolation=how)
+    smaller = texture < explanation.roughness.shape[0]
+    how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    resized = lambda image: cv2.resize(image, (texture, texture), interpolation=how)
     return replace(
-        x, base_color=scale(x.base_color), roughness=scale(x.roughness), metallic=scale(x.metallic)
+        explanation,
+        base_color=resized(explanation.base_color),
+        roughness=resized(explanation.roughness),
+        metallic=resized(explanation.metallic),
     )

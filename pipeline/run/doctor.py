@@ -11,23 +11,31 @@ from pipeline import __version__
 from pipeline.base import runtime
 
 STACK = (
-    "mitsuba",
     "drjit",
-    "torch",
-    "pycolmap",
-    "opencv-python-headless",
-    "open3d",
-    "pymeshlab",
-    "xatlas",
-    "usd-core",
-    "OpenEXR",
-    "snakemake",
-    "numpy",
-    "scipy",
-    "scikit-image",
-    "numba",
-    "safetensors",
+    "Jinja2",
     "karellen-llvm-core",
+    "libusb-package",
+    "mitsuba",
+    "numba",
+    "numpy",
+    "open3d",
+    "opencv-python-headless",
+    "OpenEXR",
+    "pillow",
+    "psutil",
+    "pycolmap",
+    "pydantic",
+    "pymeshlab",
+    "PyYAML",
+    "safetensors",
+    "scikit-image",
+    "scipy",
+    "snakemake",
+    "threadpoolctl",
+    "torch",
+    "trimesh",
+    "usd-core",
+    "xatlas",
 )
 
 
@@ -37,7 +45,7 @@ def versions() -> list[tuple[bool, str]]:
         try:
             out.append((True, f"{name} {metadata.version(name)}"))
         except metadata.PackageNotFoundError:
-            out.append((False, f"{name} is missing: pip install -r requirements.lock"))
+            out.append((False, f"{name} is missing: pip install --no-deps -r requirements.lock"))
     return out
 
 
@@ -127,13 +135,13 @@ def doctor() -> bool:
     findings += [
         attempt(
             render,
-            "pip install -r requirements.lock, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version 19 or newer",
+            "pip install --no-deps -r requirements.lock, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version 19 or newer",
         ),
         attempt(
             lambda: f"open3d imports: {runtime.import_open3d().__version__}",
             "pip install libusb-package",
         ),
-        attempt(cameras, "pip install -r requirements.lock"),
+        attempt(cameras, "pip install --no-deps -r requirements.lock"),
         attempt(weights, "check out weights/ again"),
         attempt(memory, "use another machine or the draft preset"),
         attempt(writable, "cd into the project; chmod u+w exports"),

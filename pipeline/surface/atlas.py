@@ -33,8 +33,8 @@ def rasterize(uv: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
 
 
 def judge(uv: np.ndarray, faces: np.ndarray, size: int = 1024) -> dict:
-    """Area used, share of covered texels that are covered twice, and whether all UVs lie in [0,
-    1].
+    """utilisation: share of all texels that a triangle covers; overlap: share of these that two or
+    more cover; in_range: whether all UVs lie in [0, 1].
     """
     count = rasterize(uv, faces, size)
     return {
@@ -57,11 +57,9 @@ def unwrap(mesh: Mesh, settings: Atlas) -> tuple[Mesh, int]:
         mesh.normals.astype(np.float32),
     )
     pack = xatlas.PackOptions()
-    pack.resolution, pack.padding, pack.bilinear = (
-        max(16, int(ASK * settings.resolution)),
-        settings.padding,
-        True,
-    )
+    pack.resolution = max(16, int(ASK * settings.resolution))
+    pack.padding = settings.padding
+    pack.bilinear = True
     atlas.generate(xatlas.ChartOptions(), pack)
     if atlas.atlas_count != 1:
         raise InputError(
@@ -69,12 +67,13 @@ def unwrap(mesh: Mesh, settings: Atlas) -> tuple[Mesh, int]:
             "atlas",
             "raise atlas.resolution or lower mesh.faces or atlas.padding",
         )
+
     index, faces, uv = atlas[0]
     longest = max(atlas.width, atlas.height)
     uv = uv * [atlas.width / longest, atlas.height / longest]  # keep texels square
-    return Mesh(
-        mesh.vertices[index], faces.astype(np.int64), mesh.normals[index], uv.astype(np.float64)
-    ), atlas.chart_count
+    uv = uv.astype(np.float64)
+    unwrapped = Mesh(mesh.vertices[index], faces.astype(np.int64), mesh.normals[index], uv)
+    return unwrapped, atlas.chart_count
 
 
 def layout(uv: np.ndarray, faces: np.ndarray, size: int = 512) -> np.ndarray:
@@ -86,22 +85,31 @@ def layout(uv: np.ndarray, faces: np.ndarray, size: int = 512) -> np.ndarray:
 
 def make_atlas(mesh_path: Path, out: Path, settings: Atlas) -> dict:
     """Write mesh_uv.ply, mesh_uv.obj and atlas.png into `out`; returns metrics."""
-    mesh, why, charts = load_mesh(mesh_path), "the mesh has no UVs", None
+    mesh = load_mesh(mesh_path)
     own = judge(mesh.uv, mesh.faces) if mesh.uv is not None else None
     if own and own["in_range"] and own["overlap"] < 0.005:
-        kept, facts, why = mesh, own, "the mesh's own UVs are a valid atlas"
+        kept = mesh
+        facts = own
+        charts = None
+        why = "the mesh's own UVs are a valid atlas"
     else:
+        why = "the mesh has no UVs"
         if own:
-            why = f"the mesh's own UVs are not an atlas ({100 * own['overlap']:.1f} % overlap, in [0, 1]: {own['in_range']})"
+            why = (
+                f"the mesh's own UVs are not an atlas ({100 * own['overlap']:.1f} % overlap, "
+                f"in [0, 1]: {own['in_range']})"
+            )
             mesh = weld(mesh)
         kept, charts = unwrap(mesh, settings)
         facts = judge(kept.uv, kept.faces)
+
     if not facts["in_range"] or facts["overlap"] > 0.01:
         raise InputError(
             f"the atlas overlaps itself ({100 * facts['overlap']:.1f} % of its texels)",
             "atlas",
             "lower mesh.faces, or give a mesh with good UVs",
         )
+
     save_mesh(out / "mesh_uv.ply", kept)
     save_mesh(out / "mesh_uv.obj", kept)
     write_png(out / "atlas.png", layout(kept.uv, kept.faces))
@@ -117,7 +125,6 @@ def weld(mesh: Mesh) -> Mesh:
     """Undo splits at old seams so that they do not become chart borders."""
     vertices, index = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
     faces = index.reshape(-1)[mesh.faces]
-    faces = faces[
-        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    ]
+    first, second, third = faces.T
+    faces = faces[(first != second) & (second != third) & (third != first)]
     return Mesh(vertices, faces, vertex_normals(vertices, faces))

@@ -19,22 +19,22 @@ def largest_solid(field: np.ndarray, share: float = 0.05) -> np.ndarray:
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
     field = np.where((labels > 0) & (sizes[labels] < share * sizes.max()), -0.5, field)
-    empty, count = ndimage.label(field <= 0)
-    outside = np.unique(
-        np.concatenate(
-            [empty[[0, -1]].ravel(), empty[:, [0, -1]].ravel(), empty[:, :, [0, -1]].ravel()]
-        )
-    )
+
+    empty, _ = ndimage.label(field <= 0)
+    ends = [0, -1]
+    border = [empty[ends].ravel(), empty[:, ends].ravel(), empty[:, :, ends].ravel()]
+    outside = np.unique(np.concatenate(border))
     return np.where((empty > 0) & ~np.isin(empty, outside), 0.5, field)
 
 
 def to_mesh(field: np.ndarray, grid: Grid) -> Mesh:
-    """Marching cubes of the zero level (always closed: the field is padded with outside)."""
+    """Marching cubes of the zero surface (always closed: the field is padded with outside)."""
     field = np.pad(largest_solid(ndimage.gaussian_filter(field, 0.7)), 1, constant_values=-1.0)
     if field.max() <= 0:
         raise InputError(
             "the masks leave no volume", "mesh", "check the masks (work/<scene>/masks/overlay.jpg)"
         )
+
     vertices, faces, _, _ = marching_cubes(
         field.astype(np.float32), 0.0, gradient_direction="ascent"
     )
@@ -64,8 +64,10 @@ def simplify(mesh: Mesh, faces: int) -> tuple[Mesh, dict]:
     meshes.meshing_repair_non_manifold_vertices()
     meshes.meshing_close_holes(maxholesize=200)
     meshes.meshing_remove_unreferenced_vertices()
+
     result = meshes.current_mesh()
-    vertices, triangles = result.vertex_matrix(), result.face_matrix().astype(np.int64)
+    vertices = result.vertex_matrix()
+    triangles = result.face_matrix().astype(np.int64)
     if signed_volume(vertices, triangles) < 0:
         triangles = triangles[:, ::-1]
     out = Mesh(vertices, triangles, vertex_normals(vertices, triangles))
@@ -73,12 +75,15 @@ def simplify(mesh: Mesh, faces: int) -> tuple[Mesh, dict]:
 
 
 def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return float((a * np.cross(b, c)).sum() / 6)
+    """Volume of a closed mesh, positive where its faces are counter-clockwise from outside."""
+    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
+    return float((first * np.cross(second, third)).sum() / 6)
 
 
 def facts(mesh: Mesh) -> dict:
-    """Watertight, edge-manifold, number of parts, by Open3D."""
+    """Whether it is watertight and manifold, number of parts, vertices and faces, size: by
+    Open3D.
+    """
     from pipeline.base.runtime import import_open3d
 
     o3d = import_open3d()
@@ -86,10 +91,9 @@ def facts(mesh: Mesh) -> dict:
         o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces)
     )
     parts = np.asarray(shell.cluster_connected_triangles()[1])
+    closed = shell.is_edge_manifold(allow_boundary_edges=False) and shell.is_vertex_manifold()
     return {
-        "watertight": bool(
-            shell.is_edge_manifold(allow_boundary_edges=False) and shell.is_vertex_manifold()
-        ),
+        "watertight": bool(closed),
         "parts": len(parts),
         "vertices": len(mesh.vertices),
         "faces": len(mesh.faces),

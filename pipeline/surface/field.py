@@ -1,7 +1,9 @@
 """Dense fields over a voxel grid from many views: visual hull and stereo. Compiled with numba, one
 thread per slab.
 
-Sign: positive inside the object. Unit: the truncation distance; values clipped to [-1, 1].
+Sign: positive inside the object. Unit: the truncation distance; values clipped to [-1, 1]. Letters
+of the compiled loops: i, j, k a cell; x, y, z its centre; v a view, m its (3, 4) matrix; d depth; u
+column and r row of a pixel.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from numba import njit, prange
 from pipeline.geometry.cameras import View
 from pipeline.geometry.voxels import Grid
 
-MAX_IGNORED = 12
+MAX_IGNORED = 12  # views that the hull may leave out of account in one cell
 
 
 def projections(views: list[View], width: int, height: int) -> np.ndarray:
@@ -36,8 +38,8 @@ def signed_distance(mask: np.ndarray) -> np.ndarray:
 
 @njit(parallel=True, fastmath=True, cache=False)
 def hull_field(low, cell, shape, matrices, distances, focal, truncation, tolerance):
-    """Per cell the (k + 1)-th smallest signed distance over the views that see it, k = tolerance x
-    their number.
+    """Per cell the smallest signed distance over the views that see it, but for the smallest few:
+    as many are ignored as `tolerance` (a fraction) of those views.
     """
     out = np.empty(shape, np.float32)
     views, h, w = distances.shape
@@ -119,16 +121,18 @@ def stacked(images: list[np.ndarray], interpolation=cv2.INTER_NEAREST) -> np.nda
     ).astype(np.float32)
 
 
+def _at_most(mask: np.ndarray, side: int) -> np.ndarray:
+    """A mask (h, w) bool with its longer side reduced to `side` pixels."""
+    factor = min(1.0, side / max(mask.shape))
+    mask = mask.astype(np.uint8)
+    return cv2.resize(mask, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) > 0
+
+
 def hull_of(
     grid: Grid, views: list[View], masks: list[np.ndarray], truncation: float, tolerance: float
 ) -> np.ndarray:
     """Soft visual hull field (nx, ny, nz) of boolean masks."""
-    small = [
-        cv2.resize(m.astype(np.uint8), None, fx=s, fy=s, interpolation=cv2.INTER_AREA) > 0
-        for m in masks
-        for s in [min(1.0, 900 / max(m.shape))]
-    ]
-    distances = stacked([signed_distance(m) for m in small])
+    distances = stacked([signed_distance(_at_most(m, 900)) for m in masks])
     h, w = distances.shape[1:]
     focal = np.array([v.fx * w / v.width for v in views], np.float32)
     return hull_field(

@@ -1,8 +1,7 @@
-"""Surface of the object. SURFACE_METHODS: name -> function(field inputs) -> field; `make_mesh` runs
-the whole stage.
+"""Surface of the object; `make_mesh` runs the whole stage.
 
-hull: soft visual hull. fused: hull carved further by stereo where views agree. Both end in marching
-cubes, always closed.
+SURFACE_METHODS: name -> function(grid, hull field, depth maps) -> field. hull: soft visual hull.
+fused: hull carved further by stereo where views agree. Both end in marching cubes, always closed.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ TRUNCATION = 4.0  # cells
 
 
 def fuse(grid: Grid, hull: np.ndarray, depths: list[Depth]) -> np.ndarray:
-    """min(hull, stereo) where agreement sums to 3 or more; free-space votes (2+, over half of that
-    sum) empty a cell.
+    """The smaller of hull and stereo, where the agreeing views of all depth maps sum to 3 or more.
+    A cell is emptied by 2 or more views that look through it, if they are over half of that sum.
     """
     h, w = depths[0].depth.shape
     behind, weight, free = stereo_field(
@@ -61,11 +60,13 @@ def given_mesh(scene: Path, rig: Rig) -> Mesh | None:
             path,
             "add transforms.json or sparse/0 in the mesh's frame, or remove the mesh",
         )
-    mesh, world = load_mesh(path), np.array(rig.facts["world"])
-    turn = world[:3, :3] / np.cbrt(np.linalg.det(world[:3, :3]))
-    return Mesh(
-        mesh.vertices @ world[:3, :3].T + world[:3, 3], mesh.faces, mesh.normals @ turn.T, mesh.uv
-    )
+
+    mesh = load_mesh(path)
+    world = np.array(rig.facts["world"])
+    linear = world[:3, :3]
+    turn = linear / np.cbrt(np.linalg.det(linear))
+    vertices = mesh.vertices @ linear.T + world[:3, 3]
+    return Mesh(vertices, mesh.faces, mesh.normals @ turn.T, mesh.uv)
 
 
 def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
@@ -76,6 +77,7 @@ def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
     points, cell = hull_points(rig, masks, 72, 0.15)
     if len(points):
         return points, 2.5 * cell
+
     area = {n: float(m.mean()) for n, m in masks.items()}
     worst = sorted(area, key=area.get)[:3]
     raise InputError(
@@ -96,11 +98,13 @@ def build_field(
 ):
     """Field and grid by the chosen method, and the facts behind the choice."""
     points, margin = coarse_hull(rig, masks)
-    low, high = points.min(0) - margin, points.max(0) + margin
+    low = points.min(0) - margin
+    high = points.max(0) + margin
     plane = rig.facts.get("plane")
     if plane is not None:
         low[1] = max(low[1], plane["offset"] - 0.02 * (high[1] - low[1]))
     grid = Grid.over(low, high, settings.grid)
+
     carving = [v for v in rig.views if confidence[v.name]["carve"]]
     if len(carving) < 3:
         raise InputError(
@@ -108,46 +112,52 @@ def build_field(
             "masks",
             "correct the masks in the scene's folder masks/",
         )
+
     truncation = TRUNCATION * grid.cell
-    hull = hull_of(
-        grid, carving, [masks[v.name] for v in carving], truncation, 0.04 if given else 0.08
-    )
-    depths, share, method = [], None, settings.method
-    if method != "hull":
-        views = [v.scaled(settings.stereo_scale) for v in rig.views]
-        images = [
-            cv2.resize(
-                (luminance(linear_to_srgb(read_exr(poses / v.image))) * 255).astype(np.uint8),
-                (s.width, s.height),
-                interpolation=cv2.INTER_AREA,
-            )
-            for v, s in zip(rig.views, views)
-        ]
-        small = [
-            cv2.resize(
-                masks[v.name].astype(np.uint8), (v.width, v.height), interpolation=cv2.INTER_NEAREST
-            )
-            > 0
-            for v in views
-        ]
-        depths, share = stereo(views, images, small, points, margin, threads)
-    if method == "auto":
-        method = "fused" if share >= settings.min_agreement else "hull"
+    tolerance = 0.04 if given else 0.08
+    hull = hull_of(grid, carving, [masks[v.name] for v in carving], truncation, tolerance)
+
+    depths = []
+    share = None
+    if settings.method != "hull":
+        depths, share = _stereo_of(rig, poses, masks, settings, points, margin, threads)
+    method, why = _choose(settings, share)
     field = SURFACE_METHODS[method](grid, hull, depths)
-    if (
-        plane is not None
-    ):  # nothing of the object lies below the ground; a thin slab of ground would stick to it
+
+    # nothing of the object lies below the ground; a thin slab of ground would stick to it
+    if plane is not None:
         y = grid.low[1] + (np.arange(grid.shape[1]) + 0.5) * grid.cell
-        field = np.minimum(
-            field, ((y - plane["offset"] - 1.5 * grid.cell) / truncation)[None, :, None]
-        )
-    why = (
-        "asked for"
-        if settings.method != "auto"
-        else f"{100 * share:.0f} % of mask pixels have depth that views agree on; "
-        f"{'at least' if method == 'fused' else 'less than'} {100 * settings.min_agreement:.0f} % are needed to trust stereo"
-    )
+        above = (y - plane["offset"] - 1.5 * grid.cell) / truncation
+        field = np.minimum(field, above[None, :, None])
     return field, grid, {"method": method, "why": why, "stereo_share": share}
+
+
+def _stereo_of(rig: Rig, poses: Path, masks: dict, settings: MeshSettings, points, margin, threads):
+    """Depth maps of all photos at `stereo_scale`, and the share of mask pixels that have depth."""
+    views = [v.scaled(settings.stereo_scale) for v in rig.views]
+    images = []
+    small = []
+    for full, view in zip(rig.views, views):
+        size = (view.width, view.height)
+        grey = (luminance(linear_to_srgb(read_exr(poses / full.image))) * 255).astype(np.uint8)
+        images.append(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
+        mask = masks[full.name].astype(np.uint8)
+        small.append(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST) > 0)
+    return stereo(views, images, small, points, margin, threads)
+
+
+def _choose(settings: MeshSettings, share: float | None) -> tuple[str, str]:
+    """A key of SURFACE_METHODS, and why it was chosen. `share`: of mask pixels with depth."""
+    if settings.method != "auto":
+        return settings.method, "asked for"
+
+    trusted = share >= settings.min_agreement
+    why = (
+        f"{100 * share:.0f} % of mask pixels have depth that views agree on; "
+        f"{'at least' if trusted else 'less than'} {100 * settings.min_agreement:.0f} % "
+        "are needed to trust stereo"
+    )
+    return ("fused" if trusted else "hull"), why
 
 
 def make_mesh(
@@ -201,26 +211,32 @@ def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, trust_masks: boo
     masks, and masks that alone made the surface, are kept as they are.
     """
     out.mkdir()
-    shadow, missed, total = Silhouette(mesh), 0, 0
+    covered_in = Silhouette(mesh)
+    missed = 0
+    total = 0
+
     for v in rig.views:
         mask = read_png(masks / f"{v.name}.png") > 127
-        seen = shadow(v)
-        missed, total = missed + (mask & ~seen).sum(), total + mask.sum()
-        write_png(out / f"{v.name}.png", (mask if trust_masks else seen) * np.uint8(255))
+        covered = covered_in(v)
+        missed += (mask & ~covered).sum()
+        total += mask.sum()
+        write_png(out / f"{v.name}.png", (mask if trust_masks else covered) * np.uint8(255))
     return float(missed / max(total, 1))
 
 
 def warnings_of(rig: Rig, masks: dict) -> list[str]:
     """What makes a hull untrustworthy: views from one side only, objects cut off by the frame."""
     out = []
-    d = np.stack([v.position - rig.center for v in rig.views])
-    azimuth = np.sort(np.arctan2(d[:, 0], d[:, 2]))
-    gap = np.degrees(np.max(np.diff(np.concatenate([azimuth, azimuth[:1] + 2 * np.pi]))))
+
+    x, _, z = np.stack([v.position - rig.center for v in rig.views]).T
+    azimuth = np.sort(np.arctan2(x, z))
+    round_trip = np.concatenate([azimuth, azimuth[:1] + 2 * np.pi])
+    gap = np.degrees(np.max(np.diff(round_trip)))
     if gap > 120:
         out.append(f"no photo over {gap:.0f} degrees around the object: its far side is guessed")
-    edge = [
-        n for n, m in masks.items() if m[0].any() or m[-1].any() or m[:, 0].any() or m[:, -1].any()
-    ]
-    if len(edge) > 0.3 * len(masks):
-        out.append(f"the object touches the frame in {len(edge)} of {len(masks)} photos")
+
+    at_edge = lambda m: m[0].any() or m[-1].any() or m[:, 0].any() or m[:, -1].any()
+    cut_off = sum(at_edge(m) for m in masks.values())
+    if cut_off > 0.3 * len(masks):
+        out.append(f"the object touches the frame in {cut_off} of {len(masks)} photos")
     return out

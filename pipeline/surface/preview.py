@@ -29,10 +29,8 @@ class Silhouette:
     def __call__(self, view: View) -> np.ndarray:
         """(h, w) bool, by a ray through each pixel's centre."""
         u, v = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
-        o, d = view.rays(np.stack([u, v], -1))
-        hit = self.scene.cast_rays(
-            self.o3d.core.Tensor(np.concatenate([o, d], -1).astype(np.float32))
-        )
+        rays = np.concatenate(view.rays(np.stack([u, v], -1)), -1).astype(np.float32)
+        hit = self.scene.cast_rays(self.o3d.core.Tensor(rays))
         return np.isfinite(hit["t_hit"].numpy())
 
 
@@ -41,22 +39,21 @@ def shaded(mesh: Mesh, size: int = 320) -> np.ndarray:
     scene, _ = caster(mesh)
     center = 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0))
     radius = 0.5 * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    elevation = np.radians(25)
+
     tiles = []
-    for azimuth in (20, 110, 200, 290):
-        a, e = np.radians(azimuth), np.radians(25)
-        eye = center + 3.2 * radius * np.array(
-            [np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)]
-        )
+    for degrees in (20, 110, 200, 290):
+        azimuth = np.radians(degrees)
+        x = np.cos(elevation) * np.sin(azimuth)
+        z = np.cos(elevation) * np.cos(azimuth)
+        eye = center + 3.2 * radius * np.array([x, np.sin(elevation), z])
         rays = scene.create_rays_pinhole(38, center.tolist(), eye.tolist(), [0, 1, 0], size, size)
         hit = scene.cast_rays(rays)
+
         normal = hit["primitive_normals"].numpy()
         to_eye = (eye - center) / np.linalg.norm(eye - center)
         light = 0.25 + 0.75 * np.clip(normal @ (to_eye + [0, 0.5, 0]) / 1.1, 0, 1)
-        tiles.append(
-            np.where(
-                np.isfinite(hit["t_hit"].numpy())[..., None],
-                light[..., None] * [225, 220, 210],
-                [30, 32, 36],
-            )[::-1]
-        )
+        surface = np.isfinite(hit["t_hit"].numpy())[..., None]
+        tile = np.where(surface, light[..., None] * [225, 220, 210], [30, 32, 36])
+        tiles.append(tile[::-1])
     return np.concatenate(tiles, 1).astype(np.uint8)

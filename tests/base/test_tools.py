@@ -94,7 +94,7 @@ def test_doctor_renders(monkeypatch):
     assert "8x8" in doctor.render()
     monkeypatch.setattr(doctor, "STACK", ("no-such-package",))
     assert doctor.versions() == [
-        (False, "no-such-package is missing: pip install -r requirements.lock")
+        (False, "no-such-package is missing: pip install --no-deps -r requirements.lock")
     ]
 
 

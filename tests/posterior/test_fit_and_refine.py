@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 from pipeline.base.config import Fit, Observe, Refine, Sample
-from pipeline.base.images import write_exr, write_png
-from pipeline.geometry.cameras import Rig, save_cameras
+from pipeline.base.images import read_exr, write_exr, write_png
+from pipeline.base.runtime import set_threads
+from pipeline.geometry.cameras import Rig, View, save_cameras
 from pipeline.posterior.dpi.as_published import dpi_paper, rho
 from pipeline.posterior.fit import fit
 from pipeline.posterior.problem import Problem
-from pipeline.posterior.refine import base_color_block, refine
+from pipeline.posterior.refine import refine, solve_base_color
 from pipeline.posterior.textures import gather, splat
 from pipeline.prior.load import load_prior
 from pipeline.prior.training.procedural import outdoor
@@ -18,6 +19,7 @@ from pipeline.prior.value_code import scale_of
 from pipeline.render.metrics import psnr, render_view
 from pipeline.render.observe import Observations, make_observations
 from pipeline.render.renderer import Explanation, Renderer
+from tests.conftest import look_at
 
 # an overcast one: with two paths per pixel, one that meets a sun would be all of a step's loss
 SKY = 9
@@ -26,9 +28,6 @@ SKY = 9
 @pytest.fixture(scope="module")
 def toy(ball, tmp_path_factory):
     """Photos of the ball with a two-coloured texture under a procedural sky: (folder, truth)."""
-    from pipeline.geometry.cameras import View
-    from tests.conftest import look_at
-
     folder = tmp_path_factory.mktemp("toy")
     light = outdoor(np.random.default_rng(SKY), 32, 64).astype(np.float32)
     color = np.full((32, 32, 3), 0.5, np.float32)
@@ -39,15 +38,19 @@ def toy(ball, tmp_path_factory):
         np.full((32, 32), 0.4, np.float32),
         np.zeros((32, 32), np.float32),
     )
-    renderer, views = Renderer(ball / "mesh_uv.ply", 32, 32, 3), []
+
+    renderer = Renderer(ball / "mesh_uv.ply", 32, 32, 3)
+    views = []
     for k in range(9):
-        a = 2 * np.pi * k / 9
-        eye = 2.5 * np.array([np.sin(a) * 0.9, 0.35 if k % 2 else -0.1, np.cos(a) * 0.9])
+        angle = 2 * np.pi * k / 9
+        height = 0.35 if k % 2 else -0.1
+        eye = 2.5 * np.array([np.sin(angle) * 0.9, height, np.cos(angle) * 0.9])
         view = View(f"v{k}", f"images/v{k}.exr", 40, 40, 70, 70, 20, 20, look_at(eye))
         picture = render_view(renderer, truth, view, 64)
         write_exr(folder / view.image, picture)
         write_png(folder / "masks" / f"v{k}.png", (picture.max(-1) > 0) * np.uint8(255))
         views.append(view)
+
     save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.6, "transforms.json"))
     make_observations(folder, folder, ball / "mesh_uv.ply", folder, Observe(pixels=4000))
     return folder, truth
@@ -68,22 +71,23 @@ def start(problem):
 
 
 def test_observations_are_pixels_of_the_photos(toy, problem):
-    obs = problem.observations
-    from pipeline.base.images import read_exr
+    observations = problem.observations
+    photos = [read_exr(toy[0] / view.image) for view in observations.views]
+    for k in range(0, len(observations), 371):
+        column, row = observations.pixel[k]
+        assert np.allclose(photos[observations.view[k]][row, column], observations.rgb[k])
 
-    photos = {v.name: read_exr(toy[0] / v.image) for v in obs.views}
-    for k in range(0, len(obs), 371):
-        column, row = obs.pixel[k]
-        assert np.allclose(photos[obs.views[obs.view[k]].name][row, column], obs.rgb[k])
-    assert len(obs.held_out) == 1 and obs.held_out[0].name not in [v.name for v in obs.views]
+    (held_out,) = observations.held_out
+    assert held_out.name not in [view.name for view in observations.views]
 
 
 def test_rays_go_through_their_pixels(problem):
-    obs, index = problem.observations, np.arange(200)
-    o, d = obs.rays(index, np.random.default_rng(0))
+    observations = problem.observations
+    origins, directions = observations.rays(np.arange(200), np.random.default_rng(0))
     for k in range(0, 200, 20):
-        uv, _ = obs.views[obs.view[k]].project(o[k] + 2 * d[k])
-        assert (np.floor(uv) == obs.pixel[k]).all()
+        view = observations.views[observations.view[k]]
+        seen_at, _ = view.project(origins[k] + 2 * directions[k])
+        assert (np.floor(seen_at) == observations.pixel[k]).all()
 
 
 def test_fit_explains_the_photos(start):
@@ -95,42 +99,40 @@ def test_sample_is_the_same_alone_or_among_others(problem, start):
     """Bit for bit (one thread); nothing of an earlier sample may leak into a later one (the
     published code's first defect).
     """
-    from pipeline.base.runtime import set_threads
+    prior = load_prior("prior_small")
+    settings = Sample(steps=6, pixels=300, spp=2, texture=32)
 
-    prior, settings = load_prior("prior_small"), Sample(steps=6, pixels=300, spp=2, texture=32)
     set_threads(1)
     alone, _ = dpi_paper(problem, prior, start[0], settings, 1)
     other, _ = dpi_paper(problem, prior, start[0], settings, 0)
     again, _ = dpi_paper(problem, prior, start[0], settings, 1)
     set_threads(2)
+
     for name in ("light", "base_color", "roughness", "metallic"):
         assert (getattr(alone, name) == getattr(again, name)).all(), name
     assert not (alone.light == other.light).all()
 
 
 def test_sample_explains_the_photos(problem, start):
-    drawn, facts = dpi_paper(
-        problem,
-        load_prior("prior_small"),
-        start[0],
-        Sample(steps=60, pixels=800, spp=2, texture=32, learning_rate=0.03),
-        0,
-    )
+    settings = Sample(steps=60, pixels=800, spp=2, texture=32, learning_rate=0.03)
+    drawn, facts = dpi_paper(problem, load_prior("prior_small"), start[0], settings, 0)
     assert facts["loss_last"] < 0.5 * facts["loss_first"]
     assert np.isfinite(drawn.light).all() and drawn.light.min() >= 0
 
 
 def test_refined_sample_predicts_the_held_out_view(problem, start, toy):
-    x, facts = refine(problem, problem, start[0], Refine(steps=20, pixels=800, texture=32), 0)
-    view = problem.observations.held_out[0]
-    from pipeline.base.images import read_exr
+    settings = Refine(steps=20, pixels=800, texture=32)
+    refined, _ = refine(problem, problem, start[0], settings, 0)
 
+    view = problem.observations.held_out[0]
     photo = read_exr(toy[0] / view.image)
     mask = photo.max(-1) > 0
     before = psnr(render_view(problem.renderer, start[0], view, 64), photo, mask)
-    after = psnr(render_view(problem.renderer, x, view, 64), photo, mask)
+    after = psnr(render_view(problem.renderer, refined, view, 64), photo, mask)
     assert after > 24 and after > before - 0.5
-    assert 0 <= x.base_color.min() and x.base_color.max() <= 0.98 and x.roughness.min() >= 0.1
+
+    assert 0 <= refined.base_color.min() and refined.base_color.max() <= 0.98
+    assert refined.roughness.min() >= 0.1
 
 
 def test_highlights_do_not_stay_in_the_base_colour(problem):
@@ -138,35 +140,44 @@ def test_highlights_do_not_stay_in_the_base_colour(problem):
     base colour is the same all over.
     """
     light = np.full((32, 64, 3), 0.2, np.float32)
-    light[8:12, ::16] = light[8:12, 1::16] = 15.0
+    light[8:12, ::16] = 15.0
+    light[8:12, 1::16] = 15.0
     plain = lambda value: np.full((32, 32), value, np.float32)
     truth = Explanation(light, np.full((32, 32, 3), 0.05, np.float32), plain(0.15), plain(0.0))
-    glossy, rng = copy(problem), np.random.default_rng(0)
-    obs = glossy.observations = copy(problem.observations)
-    glossy.renderer.set(truth)
-    obs.rgb = np.mean(
-        [glossy.renderer.radiance(*obs.rays(np.arange(len(obs)), rng), k) for k in range(64)],
+
+    rng = np.random.default_rng(0)
+    observations = copy(problem.observations)
+    every_pixel = np.arange(len(observations))
+    problem.renderer.set(truth)
+    observations.rgb = np.mean(
+        [
+            problem.renderer.radiance(*observations.rays(every_pixel, rng), seed)
+            for seed in range(64)
+        ],
         axis=0,
     )
-    obs.clipped = np.zeros(len(obs), bool)
-    x = replace(truth, base_color=np.full((32, 32, 3), 0.3, np.float32))
+    observations.clipped = np.zeros(len(observations), bool)
+    assert observations.rgb.max() > 0.5
+
+    glossy = copy(problem)
+    glossy.observations = observations
+    found = replace(truth, base_color=np.full((32, 32, 3), 0.3, np.float32))
     for _ in range(3):
-        x, _ = base_color_block(glossy, x, 8, rng)
-    seen = gather(x.base_color, obs.uv)
-    assert obs.rgb.max() > 0.5
+        found, _ = solve_base_color(glossy, found, 8, rng)
+
+    seen = gather(found.base_color, observations.uv)
     assert np.quantile(np.abs(seen - 0.05), 0.95) < 0.03
 
 
 def test_splat_is_the_adjoint_of_gather():
     rng = np.random.default_rng(0)
-    uv, image, values = (
-        rng.uniform(0.1, 0.9, (500, 2)),
-        rng.random((16, 16, 3)).astype(np.float32),
-        rng.random((500, 3)),
-    )
-    assert np.isclose(
-        (gather(image, uv) * values).sum(), (image * splat(uv, values, 16)).sum(), rtol=5e-3
-    )
+    uv = rng.uniform(0.1, 0.9, (500, 2))
+    image = rng.random((16, 16, 3)).astype(np.float32)
+    values = rng.random((500, 3))
+
+    gathered = (gather(image, uv) * values).sum()
+    splatted = (image * splat(uv, values, 16)).sum()
+    assert np.isclose(gathered, splatted, rtol=5e-3)
 
 
 def test_guidance_weight_follows_the_paper():
@@ -176,5 +187,5 @@ def test_guidance_weight_follows_the_paper():
 def test_saturated_pixels_only_bound_from_below(problem):
     batch = problem.batch(50, 2, np.random.default_rng(0))
     batch.clipped[:] = True
-    assert (problem.residual(batch.y + 1, batch) == 0).all()
-    assert (problem.residual(batch.y - 0.05, batch) < 0).all()
+    assert (problem.residual(batch.observed + 1, batch) == 0).all()
+    assert (problem.residual(batch.observed - 0.05, batch) < 0).all()

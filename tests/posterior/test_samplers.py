@@ -2,6 +2,8 @@
 alone.
 """
 
+import pickle
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,10 @@ import torch
 from pipeline.base.config import Sample
 from pipeline.base.runtime import set_threads
 from pipeline.posterior.samplers import SAMPLERS
-from pipeline.posterior.split_gibbs.sampler import Chain
+from pipeline.posterior.split_gibbs.likelihood import RowLikelihood
+from pipeline.posterior.split_gibbs.sampler import begun, gaussian_sweeps
+from pipeline.posterior.split_gibbs.setup import set_up
+from pipeline.posterior.split_gibbs.state import Randomness
 from pipeline.prior.load import load_prior
 from tests.posterior.test_fit_and_refine import problem, start, toy  # noqa: F401  (fixtures)
 
@@ -46,23 +51,54 @@ def error(problem, x) -> float:  # noqa: F811
     return float(np.median(np.abs(L - y) / (y + 0.1)))
 
 
-def test_a_chain_goes_back_to_an_earlier_state(problem, start):  # noqa: F811
-    """Turns change materials, noise and light; `resume` brings all of them back, in what the photos
-    predict too.
+def fingerprint(state) -> list:
+    """Everything in a state, as bytes."""
+    parts = [vars(state.materials), vars(state.noise), {}]
+    for name, value in vars(state).items():
+        if name not in ("materials", "noise"):
+            parts[2][name] = value
+    flat = [value for part in parts for value in part.values()]
+    return [np.asarray(value).tobytes() if value is not None else b"" for value in flat]
+
+
+def test_kernels_change_no_state_they_are_given(problem, start):  # noqa: F811
+    """Going back to a state is using it again: the same random numbers give the same next state
+    and the first state is as it was, with what the photos predict from it.
     """
     with torch.no_grad():
-        chain = Chain(problem, load_prior("prior_small"), start[0], SMALL, 0)
-        theta, light = chain.theta, np.ones((2 * SMALL.light**2, 3))
-        chain.photos.set(theta)
-        before, state = chain.photos.value(light), chain.state()
-        chain.begin(theta.made_of(0, 1.0), chain.gaussian.flat_mean)
-        assert chain.photos.value(light) != before and chain.coefficients.any()
-        chain.resume(state)
-    assert (
-        chain.photos.value(light) == before
-        and not chain.coefficients.any()
-        and chain.photos.eta == 0.3
-    )
+        rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)
+        before = fingerprint(state)
+        light = np.ones((2 * SMALL.light**2, 3))
+        value = RowLikelihood.of(model.mixer, state).value(light)
+
+        rng = pickle.dumps((rng.numpy, rng.torch.get_state()))
+        ends = []
+        for _ in range(2):
+            numbers, noise = pickle.loads(rng)
+            again = Randomness(numbers, torch.Generator())
+            again.torch.set_state(noise)
+            glossy = state.materials.made_of(0, 1.0)
+            ends.append(begun(again, model, state, glossy, model.gaussian.flat_mean)[1])
+
+    assert fingerprint(ends[0]) == fingerprint(ends[1]) != before
+    assert fingerprint(state) == before
+    assert RowLikelihood.of(model.mixer, state).value(light) == value
+    assert RowLikelihood.of(model.mixer, ends[0]).value(light) != value
+
+
+def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):  # noqa: F811
+    """A state and its random numbers, written to disk and read again in the middle of a chain."""
+    with torch.no_grad():
+        rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)
+        state = gaussian_sweeps(rng, model, state, 1)
+        (tmp_path / "state").write_bytes(pickle.dumps((state, rng.numpy, rng.torch.get_state())))
+        straight = gaussian_sweeps(rng, model, state, 1)
+
+        saved, numbers, noise = pickle.loads((tmp_path / "state").read_bytes())
+        resumed = Randomness(numbers, torch.Generator())
+        resumed.torch.set_state(noise)
+        other = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)[1]
+        assert fingerprint(gaussian_sweeps(resumed, other, saved, 1)) == fingerprint(straight)
 
 
 @pytest.mark.parametrize("name", list(SAMPLERS))

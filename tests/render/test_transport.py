@@ -1,30 +1,19 @@
-"""The linear operator against the path tracer, and the likelihood against dense linear algebra."""
-
-from types import SimpleNamespace
+"""The linear operator against the path tracer."""
 
 import drjit as dr
 import numpy as np
 import pytest
-import torch
-from scipy import stats
 
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.geometry.cameras import Rig, View, save_cameras
-from pipeline.posterior.problem import ALBEDO_MAX, SHADE
-from pipeline.posterior.split_gibbs.likelihood import (
-    BETWEEN,
-    LEVELS,
-    Lobes,
-    Photos,
-    Theta,
-    channel_effect,
-    contrast,
-    design_effect,
-    mix,
-)
+from pipeline.posterior.split_gibbs.lobes import mix
+from pipeline.render.envmap import directions
+from pipeline.render.light_grid import bilinear
 from pipeline.render.observe import Observations, Tracer
+from pipeline.render.principled_lobes import LOBES, PrincipledLobes, principled_bsdf
 from pipeline.render.renderer import Explanation, Renderer
-from pipeline.render.transport import LOBES, Rows, Transport, bilinear, choose_rows, lobe
+from pipeline.render.rows import choose_rows
+from pipeline.render.transport import Transport
 from tests.conftest import look_at, save_surface
 
 MATERIALS = [
@@ -37,30 +26,24 @@ MATERIALS = [
 
 def seen(mesh, radius, height, folder) -> Observations:
     """What a ring of 8 cameras sees of a mesh around the origin."""
-    views, columns, tracer = [], {"view": [], "pixel": [], "cosine": []}, Tracer(mesh)
+    tracer = Tracer(mesh)
+    views = []
+    columns = {"view": [], "pixel": [], "cosine": []}
     for k in range(8):
-        a = 2 * np.pi * k / 8
-        views.append(
-            View(
-                f"v{k}",
-                "",
-                48,
-                48,
-                70,
-                70,
-                24,
-                24,
-                look_at([radius * np.sin(a), height, radius * np.cos(a)]),
-            )
-        )
-    save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.8, "transforms.json"))
-    for k, v in enumerate(views):
-        rows, cols = np.mgrid[0:48, 0:48].reshape(2, -1)
-        _, cosine, hit = tracer.hit(*v.rays(np.stack([cols + 0.5, rows + 0.5], -1)))
+        angle = 2 * np.pi * k / 8
+        pose = look_at([radius * np.sin(angle), height, radius * np.cos(angle)])
+        view = View(f"v{k}", "", 48, 48, 70, 70, 24, 24, pose)
+        views.append(view)
+
+        row, column = np.mgrid[0:48, 0:48].reshape(2, -1)
+        pixel = np.stack([column, row], -1)
+        _, cosine, hit = tracer.hit(*view.rays(pixel + 0.5))
         columns["view"].append(np.full(hit.sum(), k))
-        columns["pixel"].append(np.stack([cols, rows], -1)[hit])
+        columns["pixel"].append(pixel[hit])
         columns["cosine"].append(cosine[hit])
-    table = {n: np.concatenate(c) for n, c in columns.items()}
+
+    save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.8, "transforms.json"))
+    table = {name: np.concatenate(parts) for name, parts in columns.items()}
     n = len(table["view"])
     np.savez(
         folder / "observations.npz",
@@ -82,8 +65,8 @@ def uniform(light, roughness, metallic, base_color) -> Explanation:
 
 def traced(renderer, observations, rows, spp) -> np.ndarray:
     """Radiance (n, 3) of the rows' rays by the path tracer."""
-    o, d = observations.centre_rays(np.tile(rows.observation, spp))
-    return renderer.radiance(o, d, 0).reshape(spp, -1, 3).mean(0)
+    rays = observations.centre_rays(np.tile(rows.observation, spp))
+    return renderer.radiance(*rays, 0).reshape(spp, -1, 3).mean(0)
 
 
 @pytest.fixture(scope="module")
@@ -93,23 +76,22 @@ def scene(ball, tmp_path_factory):
     """
     light = np.random.default_rng(1).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
     light[2, 5] = 12
-    return (
-        Renderer(ball / "mesh_uv.ply", 32, 8, 4),
-        seen(ball / "mesh_uv.ply", 3, 1.2, tmp_path_factory.mktemp("seen")),
-        light,
-    )
+    mesh = ball / "mesh_uv.ply"
+    return Renderer(mesh, 32, 8, 4), seen(mesh, 3, 1.2, tmp_path_factory.mktemp("seen")), light
 
 
 @pytest.fixture(scope="module")
 def bowl(tmp_path_factory):
     """A thick bowl that is open upwards, seen from above: renderer, observations."""
-    folder, axis = tmp_path_factory.mktemp("bowl"), np.linspace(-0.7, 0.7, 44)
-    grid = np.meshgrid(axis, axis, axis, indexing="ij")
-    radius = np.sqrt(sum(g**2 for g in grid))
-    save_surface(folder, np.maximum(np.maximum(radius - 0.6, 0.42 - radius), grid[1] - 0.1), axis)
-    return Renderer(folder / "mesh_uv.ply", 32, 8, 6), seen(
-        folder / "mesh_uv.ply", 1.2, 2.4, folder
-    )
+    folder = tmp_path_factory.mktemp("bowl")
+    axis = np.linspace(-0.7, 0.7, 44)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    radius = np.sqrt(x**2 + y**2 + z**2)
+    shell = np.maximum(radius - 0.6, 0.42 - radius)
+    save_surface(folder, np.maximum(shell, y - 0.1), axis)
+
+    mesh = folder / "mesh_uv.ply"
+    return Renderer(mesh, 32, 8, 6), seen(mesh, 1.2, 2.4, folder)
 
 
 @pytest.fixture(scope="module")
@@ -121,21 +103,21 @@ def transport(scene, ball):
 
 def test_lobes_make_the_principled_bsdf():
     """f = (1 - m)(a A + S) + m (a M1 + (1 - a) M0) to rounding."""
-    rng, n = np.random.default_rng(0), 2000
-    wi, wo = rng.normal(size=(2, 3, n))
-    wi, wo = (w / np.linalg.norm(w, axis=0) for w in (wi, wo))
-    wi[2], wo[2] = abs(wi[2]), abs(wo[2])
-    si = dr.zeros(mi.SurfaceInteraction3f, n)
-    si.wi, out = mi.Vector3f(wi.astype(np.float32)), mi.Vector3f(wo.astype(np.float32))
-    value = lambda m, a, r: np.array(lobe(m, a, r).eval(mi.BSDFContext(), si, out)[0])
+    lanes = 2000
+    pairs = np.random.default_rng(0).normal(size=(2, 3, lanes))
+    pairs /= np.linalg.norm(pairs, axis=1, keepdims=True)
+    pairs[:, 2] = abs(pairs[:, 2])  # both directions above the surface
+    incoming, outgoing = pairs.astype(np.float32)
+    si = dr.zeros(mi.SurfaceInteraction3f, lanes)
+    si.wi = mi.Vector3f(incoming)
+    wo = mi.Vector3f(outgoing)
+
     for r, m, a in MATERIALS:
-        black = value(0.0, 0.0, r)
-        parts = np.stack(
-            [value(0.0, 1.0, r) - black, black, value(1.0, 1.0, r), value(1.0, 0.0, r)]
-        )
-        U, W = mix(parts, m)
-        np.testing.assert_allclose(a * U + W, value(m, a, r), rtol=2e-3, atol=2e-5)
-    assert len(LOBES) == 4
+        lobes = PrincipledLobes(r)(si, wo)
+        assert lobes.shape == (len(LOBES), lanes)
+        U, W = mix(lobes, m)
+        whole = np.array(principled_bsdf(m, a, r).eval(mi.BSDFContext(), si, wo)[0])
+        np.testing.assert_allclose(a * U + W, whole, rtol=2e-3, atol=2e-5)
 
 
 def test_rows_are_grouped_by_point_one_pixel_per_view(scene, transport):
@@ -155,13 +137,13 @@ def test_rows_are_grouped_by_point_one_pixel_per_view(scene, transport):
 
 
 def test_bilinear_weights_reproduce_a_smooth_light():
-    from pipeline.render.envmap import directions
-
-    d = directions(8, 16).reshape(-1, 3)
-    index, weight = bilinear(d, 8)
+    centres = directions(8, 16).reshape(-1, 3)
+    index, weight = bilinear(centres, 8)
     values = np.random.default_rng(0).normal(size=128)
-    np.testing.assert_allclose((values[index] * weight).sum(1), values, atol=1e-6)  # pixel centres
-    assert np.allclose(bilinear(np.random.default_rng(1).normal(size=(50, 3)), 8)[1].sum(1), 1)
+    np.testing.assert_allclose((values[index] * weight).sum(1), values, atol=1e-6)
+
+    _, weight = bilinear(np.random.default_rng(1).normal(size=(50, 3)), 8)
+    assert np.allclose(weight.sum(1), 1)
 
 
 @pytest.mark.parametrize("r,m,a", MATERIALS)
@@ -174,7 +156,9 @@ def test_operator_equals_path_tracer(scene, transport, r, m, a):
     truth = traced(renderer, observations, transport.rows, 512)
     assert abs((a * U + W).mean() / truth.mean() - 1) < 0.02
     assert np.abs(a * U + W - truth).mean() / truth.mean() < 0.06
-    assert off[0].nnz < 0.01 * len(truth) * len(transport.d)  # next to no light off itself
+    assert off[0].nnz < 0.01 * len(truth) * len(
+        transport.cell_direction
+    )  # next to no light off itself
 
 
 def test_a_lamp_in_one_pixel_is_as_bright_as_it_is(scene, ball):
@@ -196,73 +180,6 @@ def test_a_lamp_in_one_pixel_is_as_bright_as_it_is(scene, ball):
     assert np.abs(error).mean() < 0.03
 
 
-@pytest.mark.parametrize(
-    "level,m,a", [(8, 0.0, 0.9), (14, 0.5, 0.9), (24, 0.0, 0.3), (24, 0.5, 0.9), (24, 1.0, 0.9)]
-)
-def test_light_off_the_object_equals_the_path_tracers(bowl, level, m, a):
-    """A bowl lights itself: up to a third of what is seen. A rough metal gives off much less than
-    its base colour says.
-    """
-    renderer, observations = bowl
-    light = np.random.default_rng(1).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
-    rows = choose_rows(observations, renderer.scene, 80, 3, 0)
-    transport = Transport(renderer.scene, renderer.mesh, observations, rows, 8, 40, 0)
-    n = len(rows.point)
-    lobes = Lobes(transport, 0.1, 0, swallowed=1.0)  # two of the metals are rougher than there are
-    photos = Photos(
-        transport,
-        lobes,
-        np.ones((n, 3)),
-        np.zeros(n, bool),
-        np.zeros(80, int),
-        renderer.max_depth - 1,
-    )
-    photos.set(Theta(np.full((1, 3), a), np.array([0.01]), np.array([level]), np.array([m])))
-    U, W = photos.predict(light.reshape(-1, 3))
-    renderer.set(uniform(light, photos.lobes.levels[level], m, a))
-    truth = traced(renderer, observations, rows, 512)
-    assert abs((a * U + W).mean() / truth.mean() - 1) < 0.03
-
-
-def test_lobes_between_the_traced_ones(scene, transport):
-    """Highlights of interpolated lobes against traced ones: nearer than either neighbour."""
-    light, lobes = scene[2].reshape(-1, 3), Lobes(transport, 0.2, 0)
-    highlights = lambda F: np.asarray(F)[1:3] @ light
-    for level in (6, 10, 18):
-        truth = highlights(transport.at(lobes.levels[level], 5)[0])
-        error = lambda F: np.sqrt(((highlights(F) / truth - 1) ** 2).mean())
-        beside = [error(lobes.direct[level // BETWEEN + k]) for k in (0, 1)]
-        assert error(lobes.at(level)) < 0.1 and error(lobes.at(level)) < 0.7 * min(beside)
-    assert np.allclose(lobes.levels[::BETWEEN], LEVELS[2:]) and len(lobes.levels) == 5 * BETWEEN + 1
-    nodes = np.random.default_rng(0).random((len(transport.node_position), 3))
-    np.testing.assert_allclose(
-        lobes.apply(light, nodes)[6],
-        lobes.at(6).numpy() @ light
-        + [0.5 * (a @ nodes + b @ nodes) for a, b in zip(lobes.off[1], lobes.off[2])],
-        rtol=1e-4,
-    )
-
-
-def test_metals_are_no_rougher_than_their_lobe_keeps_light(transport):
-    """All of METALLIC up to roughness .65, where a white metal reflects .75; at 1, with .38, no
-    more than .35; a point's offset leads no further.
-    """
-    lobes = Lobes(transport, 0.2, 0)
-    most = dict(zip(lobes.levels, lobes.most_metallic))
-    assert (
-        most[0.25] == most[0.65] == 1
-        and most[1.0] == 0.35
-        and (np.diff(lobes.most_metallic) <= 0).all()
-    )
-    photos = SimpleNamespace(
-        region=np.zeros(2, int), offset=np.array([[0, 0], [0, 9]]), lobes=lobes
-    )
-    rough = Theta(
-        np.full((1, 3), 0.5), np.array([0.1]), np.array([len(most) - 1]), np.array([0.05])
-    )
-    np.testing.assert_allclose(Photos.point_materials(photos, rough)[1], [0.05, 0.35])
-
-
 def test_light_between_parts_adds_up():
     """Two facing nodes that each see half the light: the series of bounces against the closed
     form.
@@ -273,164 +190,3 @@ def test_light_between_parts_adds_up():
     B = t.exitant(np.ones((1, 3)), np.full((2, 3), 0.6), 60)
     np.testing.assert_allclose(B, 0.3 / (1 - 0.3), atol=1e-9)
     np.testing.assert_allclose(t.exitant(np.ones((1, 3)), np.full((2, 3), 0.6), 1), 0.3)
-
-
-@pytest.fixture(scope="module")
-def photos(transport):
-    rng = np.random.default_rng(2)
-    lobes = Lobes(transport, 0.2, 0)
-    n = len(transport.rows.point)
-    out = Photos(
-        transport,
-        lobes,
-        rng.uniform(0.1, 1.0, (n, 3)),
-        np.zeros(n, bool),
-        rng.integers(0, 2, 40),
-        1,
-    )
-    out.eta, out.kappa, out.weight, out.share = (
-        0.2,
-        1.7,
-        rng.uniform(0.5, 2, n),
-        rng.uniform(0.3, 2, 40),
-    )
-    out.ceiling = ALBEDO_MAX / rng.uniform(1, 1.6, (40, 3))
-    out.set(
-        Theta(
-            rng.uniform(0.2, 0.7, (2, 3)),
-            np.array([0.1, 0.5]),
-            np.array([6, 16]),
-            np.array([0.0, 0.8]),
-        )
-    )
-    return out
-
-
-def dense_value(photos, light) -> float:
-    """log of the integral of N(a; mu, v) on [0, ceiling] times N(y; a U + W, D kappa / share) over
-    a, without the noise's constants.
-    """
-    (U, W), total = photos.predict(light), 0.0
-    for p in range(len(photos.region)):
-        k, r = photos.rows.point == p, photos.region[p]
-        for c in range(3):
-            mu, a = photos.theta.mu[r, c], np.linspace(0, photos.ceiling[p, c], 8001)
-            prior = stats.norm(mu, photos.theta.tau[r] * mu)
-            D = (
-                photos.kappa
-                / photos.share[p]
-                * (photos.eta * (photos.observed[k, c] + SHADE)) ** 2
-                / photos.weight[k]
-            )
-            e = photos.observed[k, c] - a[:, None] * U[k, c] - W[k, c]
-            log = (
-                -0.5 * (e**2 / D).sum(1) + prior.logpdf(a) - np.log(prior.cdf(a[-1]) - prior.cdf(0))
-            )
-            total += log.max() + np.log(np.trapezoid(np.exp(log - log.max()), a))
-    return total
-
-
-def test_colour_is_integrated_out_exactly(photos, scene):
-    light = scene[2].reshape(-1, 3).astype(float)
-    assert (
-        abs(photos.value(light) - dense_value(photos, light))
-        < 1e-6 * abs(photos.value(light)) + 1e-6
-    )
-
-
-def test_contrast_is_that_of_the_brightest_tenth(transport, scene):
-    """Pixels of a patch that are all alike, and a fifth of them three times as bright."""
-    rows, rgb = transport.rows, np.full((len(scene[1]), 3), 0.2)
-    np.testing.assert_allclose(contrast(rows, rgb), 1)
-    rgb[np.random.default_rng(0).random(len(rgb)) < 0.2] = 0.6  # mean .28
-    assert 1.7 < np.median(contrast(rows, rgb)) < 2.6
-
-
-def test_whitened_rows_have_the_likelihoods_curvature(photos, scene):
-    """Without spread of colour the likelihood is quadratic in the light, and -|y - T L|^2 / 2 is
-    all of it.
-    """
-    flat = photos.theta.copy()
-    flat.tau[:] = 1e-6
-    kept, _ = photos.theta, photos.set(flat)
-    light, other = (
-        scene[2].reshape(-1, 3).astype(float),
-        np.random.default_rng(5).uniform(0.1, 2, (128, 3)),
-    )
-    T, r, _ = photos.whitened(light)
-    square = lambda L: (
-        -0.5
-        * float(
-            (r - torch.einsum("cnm,cm->cn", T, torch.from_numpy((L - light).T.astype(np.float32))))
-            .square()
-            .sum()
-        )
-    )
-    assert abs(
-        (square(light) - square(other)) - (photos.value(light) - photos.value(other))
-    ) < 1e-3 * abs(photos.value(other))
-    photos.set(kept)
-
-
-def test_saturated_rows_are_lower_bounds(photos, scene):
-    """Colours known: under a light too dark they count like any row; under one so bright that they
-    are explained they say nothing, nor does their slope.
-    """
-    light, kept, theta = scene[2].reshape(-1, 3).astype(float), photos.theta, photos.theta.copy()
-    theta.tau[:] = 1e-6
-    photos.set(theta)
-    plain = {
-        factor: (photos.value(factor * light), photos.residual(factor * light))
-        for factor in (1e-3, 1e3)
-    }
-    photos.clipped = np.arange(len(photos.observed)) % 3 == 0
-    assert np.isclose(photos.value(1e-3 * light), plain[1e-3][0]) and torch.allclose(
-        photos.residual(1e-3 * light), plain[1e-3][1]
-    )
-    assert (photos.residual(1e3 * light)[:, photos.clipped] == 0).all() and (
-        photos.residual(1e3 * light)[:, ~photos.clipped] != 0
-    ).all()
-    before, ones = photos.value(1e3 * light), torch.ones(3, len(photos.observed))
-    slope = photos.adjoint(1e3 * light, ones)[0]
-    only = photos.adjoint(1e3 * light, ones * torch.from_numpy(~photos.clipped))[0]
-    assert torch.allclose(slope, only)
-    weight, photos.weight = (
-        photos.weight,
-        np.where(photos.clipped, photos.weight * 2, photos.weight),
-    )
-    assert not np.isclose(photos.value(1e-3 * light), plain[1e-3][0])
-    assert abs(photos.value(1e3 * light) - before) < 1e-3 * abs(before)  # the determinant alone
-    photos.clipped, photos.weight = np.zeros(len(weight), bool), weight
-    photos.set(kept)
-
-
-def test_drawn_colours_and_noise_recover_the_truth(photos, scene):
-    """Rows made from known colours and noise: colours within error bars, eta within 10 %."""
-    rng, light = np.random.default_rng(0), scene[2].reshape(-1, 3).astype(float)
-    U, W = photos.predict(light)
-    truth = np.clip(
-        photos.theta.mu[photos.region]
-        * (1 + photos.theta.tau[photos.region, None] * rng.normal(size=(40, 3))),
-        0.02,
-        0.95,
-    )
-    clean = truth[photos.rows.point] * U + W
-    photos.observed = clean / (1 - 0.05 * np.clip(rng.normal(size=clean.shape), -3, 3))
-    photos.kappa, photos.weight, photos.eta = 1.0, np.ones(len(clean)), 0.3
-    for _ in range(30):
-        colour = photos.draw_colour(U, W, photos.theta, rng)
-        photos.draw_noise(U, W, colour, rng)
-    assert np.median(np.abs(colour / truth - 1)) < 0.1
-    assert 0.02 < photos.eta < 0.055  # t residuals with clipped normal noise
-
-
-def test_design_effect_sees_correlation():
-    """Independent residuals count fully; residuals shared by neighbours count once."""
-    rng = np.random.default_rng(0)
-    position = np.concatenate([rng.uniform(0, 1, (400, 2)), np.zeros((400, 1))], 1)
-    rows, view = Rows(np.arange(400), np.arange(400)), np.zeros(400, int)
-    alone = design_effect(rows, position, view, rng.normal(size=400))
-    smooth = np.sin(7 * position[:, 0]) + np.cos(5 * position[:, 1])
-    assert alone < 1.5 and design_effect(rows, position, view, smooth) > 8
-    white = rng.normal(size=(3000, 3))
-    assert channel_effect(white) < 1.1 and channel_effect(white[:, :1] + 0.1 * white) > 2.8

@@ -1,3 +1,3 @@
-"""Diffusion posterior illumination (Lyu et al. 2023) as published, as released, and its
-ablation.
+"""Diffusion posterior illumination (DPI, Lyu et al. 2023): as published, as released, and its
+ablation without sampling.
 """

@@ -1,105 +1,182 @@
-"""Diffusion posterior sampling of the light with materials alongside, as published (DPI: Lyu et al.
-2023).
+"""`dpi_paper`: diffusion posterior sampling of the light with materials alongside, as published
+(DPI, Lyu et al. 2023).
 
-Letters: x_t noisy code in DDPM scaling, ab = alpha_bar_t, x_0 its denoised estimate, L = s
-decode(x_0) radiance with the light's scale s held, k materials, y photos, R the renderer. One step
-from level t to s < t:
+Letters: x_t noisy code at noise level t of T in DDPM scaling, ab_t = alpha_bar_t, x_0 its denoised
+estimate, k materials, y photos, R the renderer. s < t is the next level, -1 the noise-free end. The
+equations name the light by its code; the renderer is given the radiance that it stands for, times
+the light's scale, which is held.
 
-    roll     turn the light by a random number of columns                             (Eq. 19)
-    x_0      = D(x_t / sqrt(ab); sigma_t)                                              (Eq. 7)
-    g        = gradient in x_t of || y - R(L(x_0), k) ||, through renderer and network   (Eq. 13)
-    x_s      = DDPM posterior sample given x_0 and x_t, minus rho_t g
-    k        = one Adam step on || y - R(L(x_0), k) ||^2 with x_0 held                   (Eq. 16)
+One turn of the loop, from level t to s, has five steps:
 
-The base colour starts at 0, roughness and metallic at the fit's values; every sample has a copy of
-its own and random numbers of its own. As in DPS (Chung et al. 2023) the gradient is that of the
-un-squared norm, so that rho does not depend on the number of pixels; `guidance` multiplies rho, and
-a sub-sequence of the T levels takes steps longer by T / n.
+    roll             turn the light by a random number of columns            Eq. 19
+    denoised         x_0, the network's estimate of the clean code           Eq. 7
+    reverse_step     x_s drawn given x_0 and x_t, as the prior alone has it
+    guidance         what is taken off x_s, for the photos' sake             Eq. 13
+    material_step    one step of Adam on k, with x_0 held                    Eq. 16
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import torch
 
 from pipeline.base.config import Sample
 from pipeline.base.progress import Bar
-from pipeline.posterior.problem import Materials, Problem, generators, guided_result, step_seed
+from pipeline.posterior.dpi.light_of_code import (
+    as_light,
+    decoded,
+    finished_sample,
+    slope_in_code,
+)
+from pipeline.posterior.material_optimizer import MaterialOptimizer
+from pipeline.posterior.problem import Problem, generators, renderer_seed
 from pipeline.prior.schedule import ALPHA_BAR, T, posterior, sigma, subsequence
 from pipeline.prior.value_code import scale_of
-from pipeline.render.envmap import yaw_roll
-from pipeline.render.renderer import Explanation, resize_explanation
+from pipeline.render.renderer import Explanation, Gradient, resize_explanation
 
-RHO_BASE = (
-    30.0 / 2048
-    # calibrates rho to the relative data term (problem.py) and codes of standard deviation 0.5; per
-    # light pixel,
-)
-# because a finer grid divides the same gradient among more pixels
-STEP_LIMIT = (
-    0.5  # largest guidance step in units of the code's standard deviation, root mean square
-)
-PIXEL_LIMIT = 0.5  # largest guidance step of one pixel, a deviation of the codes
+# Calibrates rho to the relative data term (problem.py) and to codes of standard deviation 0.5. Per
+# light pixel, because a finer grid divides the same gradient among more pixels.
+RHO_BASE = 30.0 / 2048
+CODE_DEVIATION = 0.5  # standard deviation of the prior's codes (prior/value_code.py)
+STEP_LIMIT = 0.5 * CODE_DEVIATION  # largest guidance step, root mean square over the pixels
+# Largest guidance step of one pixel: a path that met the sun must not send one pixel to the end of
+# the codes' range.
+PIXEL_LIMIT = CODE_DEVIATION
+
+
+def level_pairs(steps: int) -> list[tuple[int, int]]:
+    """(t, s) of every turn: `steps` of the T levels, descending, and after the last the noise-free
+    end -1.
+    """
+    levels = [int(t) for t in subsequence(steps)]
+    return list(zip(levels, levels[1:] + [-1]))
+
+
+def roll(code: torch.Tensor, columns: int) -> torch.Tensor:
+    """The code (1, 3, h, w) turned about the vertical by `columns`.
+
+    Eq. 19 (published): x_t <- roll(x_t, c) before the network and roll(x_s, -c) after it, with c
+    random in 0..w-1 at every level, so that the network's borders, which do not join left to right,
+    leave no seam at a fixed place.
+
+    Ours: the same.
+    """
+    return code.roll(columns, -1)
+
+
+def denoised(prior, noisy: torch.Tensor, t: int, label: str | None) -> torch.Tensor:
+    """x_0 (1, 3, h, w) of x_t.
+
+    Eq. 7 (published): x_0 = (x_t - sqrt(1 - ab_t) eps(x_t, t)) / sqrt(ab_t)
+
+    with eps the noise that the network finds in x_t.
+
+    Ours: x_0 = D(x_t / sqrt(ab_t); sigma_t) with sigma_t = sqrt((1 - ab_t) / ab_t)
+
+    the same estimate from a network D that returns the clean code itself (prior/schedule.py). D may
+    be told the scene's class, `label`.
+    """
+    return prior.denoise(noisy / np.sqrt(ALPHA_BAR[t]), sigma(t), label)
+
+
+def reverse_step(
+    clean: torch.Tensor, noisy: torch.Tensor, t: int, s: int, noise: torch.Generator
+) -> torch.Tensor:
+    """x_s ~ q(x_s | x_t, x_0), DDPM's step without guidance; at s = -1 without fresh noise."""
+    of_clean, of_noisy, deviation = posterior(t, s)
+    fresh = torch.randn(noisy.shape, generator=noise) if s >= 0 else torch.zeros_like(noisy)
+    return of_clean * clean + of_noisy * noisy + deviation * fresh
 
 
 def rho(t: int) -> float:
-    """The paper's weight: 0.1 above t = 500, rising linearly to 1 at t = 0."""
+    """The paper's weight of the guidance: 0.1 above t = 500, rising linearly to 1 at t = 0."""
     return 0.1 if t > T // 2 else 0.1 + 0.9 * (T // 2 - t) / (T // 2)
+
+
+def guidance_weight(t: int, prior, settings: Sample) -> float:
+    """rho_t in our units, times the setting `guidance`, and times T / n where n of the T levels are
+    visited: steps are longer by that much.
+    """
+    longer = T / settings.steps
+    return RHO_BASE * prior.height * prior.width * settings.guidance * rho(t) * longer
+
+
+def guidance(slope: torch.Tensor, loss: float, weight: float) -> torch.Tensor:
+    """What is taken off x_s (1, 3, h, w).
+
+    Eq. 13 (published): x_s = (DDPM's step from x_t and x_0) - rho_t grad_{x_t} || y - R(x_0, k) ||
+
+    with the gradient taken through the renderer and, as x_0 = x_0(x_t), through the network.
+
+    Ours: the norm is the root of problem.py's loss, a mean relative error, so that rho does not
+    depend on the number of pixels. It is un-squared as in DPS (Chung et al. 2023). `slope` is
+    grad_{x_t} of that `loss`; its root's gradient is slope / (2 sqrt(loss)). `weight` stands for
+    rho_t (`guidance_weight`). Steps are limited by STEP_LIMIT and PIXEL_LIMIT.
+    """
+    move = weight * slope / (2 * np.sqrt(max(loss, 1e-6)))
+    size = float(move.square().mean().sqrt())
+    move = move * min(1.0, STEP_LIMIT / max(size, 1e-12))
+    return move.clamp(-PIXEL_LIMIT, PIXEL_LIMIT)
+
+
+def material_step(materials: MaterialOptimizer, gradient: Gradient) -> None:
+    """Moves `materials` in place.
+
+    Eq. 16 (published): k <- k - step of Adam along grad_k || y - R(x_0, k) ||^2, with x_0 held,
+    once per level
+
+    Ours: the loss is the mean relative error of problem.py, and the gradient comes from the same
+    paths as the guidance's; roughness and metallic move as smooth fields, and all maps stay in
+    their valid ranges (material_optimizer.py).
+    """
+    materials.step(gradient)
 
 
 def dpi_paper(
     problem: Problem, prior, start: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
-    """One posterior sample. `start`: the fit. Returns the explanation at `settings.texture` and
-    facts.
+    """One posterior sample at `settings.texture`, and facts. `start`: the fit.
 
-    Deterministic in `seed`: independent of other samples and of what ran before in the process.
+    Roughness and metallic begin at the fit's values, the base colour at 0. Deterministic in `seed`:
+    independent of other samples and of what ran before in the process.
     """
     rng, noise = generators(settings, seed)
-    scale = scale_of(start.light)
+    light_scale = scale_of(start.light)
     first = resize_explanation(start, settings.texture)
-    first.base_color = np.zeros_like(first.base_color)
-    materials = Materials(first, settings.learning_rate, problem.roughness_min)
-    x = torch.randn((1, 3, prior.height, prior.width), generator=noise)
-    levels, light, losses = subsequence(settings.steps), None, []
-    with Bar(f"sample {seed}", len(levels)) as bar:
-        for t, s in zip(levels, list(levels[1:]) + [-1]):
+    first = replace(first, base_color=np.zeros_like(first.base_color))
+    materials = MaterialOptimizer(first, settings.learning_rate, problem.roughness_min)
+    code = torch.randn((1, 3, prior.height, prior.width), generator=noise)
+    losses = []
+
+    pairs = level_pairs(settings.steps)
+    with Bar(f"sample {seed}", len(pairs)) as bar:
+        for t, s in pairs:
             columns = int(rng.integers(prior.width))
-            x = x.roll(columns, -1).requires_grad_(True)  # Eq. 19
-            x0 = prior.denoise(x / np.sqrt(ALPHA_BAR[t]), sigma(t), settings.label)  # Eq. 7
-            radiance = scale * prior.decode(x0)[0]
-            turned = radiance.detach().numpy().transpose(1, 2, 0)
-            light = np.ascontiguousarray(yaw_roll(turned, -columns))
-            now = materials.explanation(light)
-            g = problem.gradient(
-                now, problem.batch(settings.pixels, settings.spp, rng), step_seed(rng)
-            )
-            slope = torch.from_numpy(
-                np.ascontiguousarray(yaw_roll(g.light, columns).transpose(2, 0, 1))
-            )
-            (pull,) = torch.autograd.grad((radiance * slope).sum(), x)  # Eq. 13
-            weight = (
-                RHO_BASE
-                * prior.height
-                * prior.width
-                * settings.guidance
-                * rho(t)
-                * (T / len(levels))
-            )
-            move = weight * pull / (2 * np.sqrt(max(g.loss, 1e-6)))
-            size = float(move.square().mean().sqrt())
-            move = move * min(1.0, STEP_LIMIT * 0.5 / max(size, 1e-12))
-            move = move.clamp(
-                -PIXEL_LIMIT, PIXEL_LIMIT
-            )  # a path that met the sun must not send one pixel to the code's end
-            a, b, deviation = posterior(int(t), int(s))
+            noisy = roll(code, columns).requires_grad_(True)  # Eq. 19
+            clean = denoised(prior, noisy, t, settings.label)  # Eq. 7
+            radiance = decoded(prior, clean, light_scale)
+
+            explanation = materials.explanation(as_light(radiance, columns))
+            batch = problem.batch(settings.pixels, settings.spp, rng)
+            gradient = problem.gradient(explanation, batch, renderer_seed(rng))
+
+            slope = slope_in_code(radiance, gradient.light, noisy, columns)
+            move = guidance(slope, gradient.loss, guidance_weight(t, prior, settings))  # Eq. 13
             with torch.no_grad():
-                fresh = torch.randn(x.shape, generator=noise) if s >= 0 else torch.zeros_like(x)
-                x = (a * x0 + b * x + deviation * fresh - move).roll(-columns, -1)
-            materials.step(g)  # Eq. 16
-            losses.append(g.loss)
-            bar.step(f"loss {g.loss:.4f}")
-    # median: with few paths per pixel, one that meets the sun makes a step's loss a hundred times
-    # what it is
-    tail = losses[-max(1, len(losses) // 10) :]
-    return guided_result(prior, x, scale, materials, losses[0], float(np.median(tail)))
+                code = roll(reverse_step(clean, noisy, t, s, noise) - move, -columns)
+            material_step(materials, gradient)  # Eq. 16
+
+            losses.append(gradient.loss)
+            bar.step(f"loss {gradient.loss:.4f}")
+
+    sample = finished_sample(prior, code, light_scale, materials)
+    return sample, {"scale": light_scale, "loss_first": losses[0], "loss_last": end_of(losses)}
+
+
+def end_of(losses: list[float]) -> float:
+    """Median loss of the last tenth of the steps: with few paths per pixel, one that meets the sun
+    makes a step's loss a hundred times what it is.
+    """
+    return float(np.median(losses[-max(1, len(losses) // 10) :]))

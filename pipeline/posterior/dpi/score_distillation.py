@@ -1,65 +1,71 @@
-"""Score distillation, the ablation of DPI: an optimiser that takes the prior's score as one more
-gradient (Poole et al. 2023).
+"""`sds`: score distillation, the ablation of DPI. An optimiser takes the prior's score as one more
+gradient (Poole et al. 2023); it finds a mode, it does not sample.
 """
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 
 from pipeline.base.config import Sample
 from pipeline.base.progress import Bar
-from pipeline.posterior.problem import Materials, Problem, generators, guided_result, step_seed
+from pipeline.posterior.dpi.as_published import CODE_DEVIATION, material_step
+from pipeline.posterior.dpi.light_of_code import (
+    as_light,
+    decoded,
+    finished_sample,
+    slope_in_code,
+)
+from pipeline.posterior.material_optimizer import MaterialOptimizer
+from pipeline.posterior.problem import Problem, generators, renderer_seed
 from pipeline.prior.schedule import sigma
 from pipeline.prior.value_code import scale_of
 from pipeline.render.renderer import Explanation, resize_explanation
 
-SDS_LEVELS = (
-    20,
-    600,
-    # steps of the schedule that score distillation draws from  # steps of the schedule that levels
-    # are drawn from
-)
-# of the prior's pull against the data term's  # of the prior's pull against the data term's
-SDS_WEIGHT = 0.02
+LEVELS = (20, 600)  # noise levels of the T that one is drawn from at every step
+PRIOR_WEIGHT = 0.02  # of the prior's slope against the data term's
+
+
+def prior_slope(
+    prior, code: torch.Tensor, level: float, label: str | None, noise: torch.Generator
+) -> torch.Tensor:
+    """The prior's slope in the code (1, 3, h, w), per entry: towards what the network makes of the
+    code under noise of standard deviation `level`.
+    """
+    noisy = code + level * torch.randn(code.shape, generator=noise)
+    clean = prior.denoise(noisy, level, label)
+    return PRIOR_WEIGHT * (code - clean) / (code.numel() * max(level, 0.1))
 
 
 def sds(
     problem: Problem, prior, start: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
-    """Score distillation (Poole et al. 2023), DPI's ablation: an optimiser with the prior's score
-    as one more gradient.
-    """
+    """One optimum from a random code; arguments and result as `dpi_paper`."""
     rng, noise = generators(settings, seed)
-    scale, losses = scale_of(start.light), []
-    materials = Materials(
-        resize_explanation(start, settings.texture), settings.learning_rate, problem.roughness_min
-    )
-    x = (0.5 * torch.randn((1, 3, prior.height, prior.width), generator=noise)).requires_grad_(True)
-    adam = torch.optim.Adam([x], 2 * settings.learning_rate)
+    light_scale = scale_of(start.light)
+    first = resize_explanation(start, settings.texture)
+    materials = MaterialOptimizer(first, settings.learning_rate, problem.roughness_min)
+
+    code = CODE_DEVIATION * torch.randn((1, 3, prior.height, prior.width), generator=noise)
+    code.requires_grad_(True)
+    adam = torch.optim.Adam([code], 2 * settings.learning_rate)
+    losses = []
+
     with Bar(f"sample {seed}", settings.steps) as bar:
         for _ in range(settings.steps):
-            radiance = scale * prior.decode(x)[0]
-            light = np.ascontiguousarray(radiance.detach().numpy().transpose(1, 2, 0))
-            g = problem.gradient(
-                materials.explanation(light),
-                problem.batch(settings.pixels, settings.spp, rng),
-                step_seed(rng),
-            )
-            (pull,) = torch.autograd.grad(
-                (
-                    radiance * torch.from_numpy(np.ascontiguousarray(g.light.transpose(2, 0, 1)))
-                ).sum(),
-                x,
-            )
-            level = sigma(int(rng.integers(*SDS_LEVELS)))
+            radiance = decoded(prior, code, light_scale)
+            explanation = materials.explanation(as_light(radiance))
+            batch = problem.batch(settings.pixels, settings.spp, rng)
+            gradient = problem.gradient(explanation, batch, renderer_seed(rng))
+
+            slope = slope_in_code(radiance, gradient.light, code)
+            level = sigma(int(rng.integers(*LEVELS)))
             with torch.no_grad():
-                clean = prior.denoise(
-                    x + level * torch.randn(x.shape, generator=noise), level, settings.label
-                )
-                x.grad = pull + SDS_WEIGHT * (x - clean) / (x.numel() * max(level, 0.1))
+                code.grad = slope + prior_slope(prior, code, level, settings.label, noise)
             adam.step()
-            materials.step(g)
-            losses.append(g.loss)
-            bar.step(f"loss {g.loss:.4f}")
-    return guided_result(prior, x, scale, materials, losses[0], losses[-1])
+            material_step(materials, gradient)
+
+            losses.append(gradient.loss)
+            bar.step(f"loss {gradient.loss:.4f}")
+
+    sample = finished_sample(prior, code, light_scale, materials)
+    return sample, {"scale": light_scale, "loss_first": losses[0], "loss_last": losses[-1]}

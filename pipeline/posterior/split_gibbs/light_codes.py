@@ -1,181 +1,155 @@
-"""The photos' likelihood as a function of a light code and the regions' mean colours
-(split_gibbs.LightLikelihood).
+"""The rows' likelihood as a function of unknowns z: a light code and the regions' mean colours.
 
-Light and colours trade against each other and must move together, so that z holds both: the code's
-unknowns, then the mean colours as numbers q with mu = ALBEDO_MAX (1 - exp(-exp q)), which is log mu
-where mu is small and knows no edge where it is not, scaled so that z ~ N(., width^2) makes them
-N(COLOUR, COLOUR_SPREAD^2). The exact prior of the colours is part of `value`. PixelCode has a code
-per pixel; ModeCode the leading modes of the Gaussian prior around a given code.
+Light and colours trade against each other and must move together, so z holds both: the code's
+unknowns, then the mean colours as numbers q with
+
+    mu = ALBEDO_MAX (1 - exp(-exp q))
+
+which is log mu where mu is small and knows no edge where it is not, scaled so that z ~ N(., w^2)
+with the unknowns' width w makes them N(COLOR, COLOR_SPREAD^2). The exact prior of the colours is
+part of `value`. PixelUnknowns have a code per pixel; ModeUnknowns the leading modes of the Gaussian
+prior about a given code.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from pipeline.posterior.problem import ALBEDO_MAX
-from pipeline.posterior.split_gibbs.likelihood import Photos, Theta
-from pipeline.posterior.split_gibbs.material_moves import log_prior
+from pipeline.posterior.split_gibbs.likelihood import RowLikelihood
+from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.pooling import Fold, Pool, Whole, pooled
 from pipeline.prior.gaussian import GaussianPrior
+from pipeline.prior.protocol import LightPrior
 
-COMPONENTS = 400  # modes of the Gaussian prior: 95 % of its variance
-COLOUR, COLOUR_SPREAD = (
-    np.log(0.3),
-    0.8,
-)  # mean and deviation of log base colour in the reference Gaussian of the colours
+# modes of the Gaussian prior: 95 % of its variance
+COMPONENTS = 400
+# mean and deviation of log base colour in the reference Gaussian of the colours
+COLOR, COLOR_SPREAD = np.log(0.3), 0.8
 
 
-def steepness(mu: np.ndarray) -> np.ndarray:
-    """d log mu / d q."""
-    rest = 1 - mu / ALBEDO_MAX
+def steepness(color: np.ndarray) -> np.ndarray:
+    """d log mu / d q at mean colours (R, 3)."""
+    rest = 1 - color / ALBEDO_MAX
     return -np.log(rest) * rest / (1 - rest)
 
 
-class Coded:
-    """What both share. z is (rows, size + colours); `gain` divides the radiance
-    (split_gibbs.noise_gain).
+def color_numbers(color: np.ndarray, width: float) -> torch.Tensor:
+    """Mean colours (R, 3) as numbers in z, (3, R)."""
+    q = torch.from_numpy(np.log(-np.log1p(-color / ALBEDO_MAX)).T.astype(np.float32))
+    return (q - COLOR) * (width / COLOR_SPREAD)
+
+
+def colors_of(numbers: torch.Tensor, width: float) -> np.ndarray:
+    """Inverse of `color_numbers`."""
+    q = numbers.T.numpy().astype(np.float64) * (COLOR_SPREAD / width) + COLOR
+    u = np.exp(np.minimum(q, 10.0))  # e^-e^10 is 0
+    return np.clip(-ALBEDO_MAX * np.expm1(-u), 1e-6, ALBEDO_MAX * (1 - 1e-6))
+
+
+@dataclass(frozen=True)
+class Decoder:
+    """Codes (3, M) of a prior as radiance, and as the light that the operator acts on.
+
+    gain divides the radiance (light_moves.noise_gain).
     """
 
-    def __init__(self, photos: Photos, prior, log_scale: float, width: float):
-        self.photos, self.prior, self.log_scale, self.width, self.gain = (
-            photos,
-            prior,
-            log_scale,
-            width,
-            1.0,
-        )
-        self.pool = Pool(prior.height, photos.transport.h)
+    prior: LightPrior
+    pool: Pool
+    gain: float = 1.0
 
-    def radiance(self, code: torch.Tensor) -> torch.Tensor:
-        """(3, M) of a code (3, M)"""
+    @classmethod
+    def onto(cls, prior: LightPrior, light_rows: int, gain: float = 1.0) -> Decoder:
+        """For an operator that resolves `light_rows` rows."""
+        return cls(prior, Pool(prior.height, light_rows), gain)
+
+    def radiance(self, code: torch.Tensor, log_scale: float) -> torch.Tensor:
+        """(3, M) of a code (3, M)."""
         shape = (1, 3, self.prior.height, self.prior.width)
-        return (
-            float(np.exp(self.log_scale))
-            / self.gain
-            * self.prior.decode(code.reshape(shape)).reshape(3, -1)
-        )
+        factor = float(np.exp(log_scale)) / self.gain
+        return factor * self.prior.decode(code.reshape(shape)).reshape(3, -1)
 
-    def map(self, code: torch.Tensor) -> np.ndarray:
+    def map(self, code: torch.Tensor, log_scale: float) -> np.ndarray:
         """`radiance` as a lat-long map (h, 2h, 3), float32."""
-        return np.ascontiguousarray(
-            self.radiance(code)
-            .T.reshape(self.prior.height, self.prior.width, 3)
-            .numpy()
-            .astype(np.float32)
-        )
+        flat = self.radiance(code, log_scale).T
+        env = flat.reshape(self.prior.height, self.prior.width, 3).numpy()
+        return np.ascontiguousarray(env.astype(np.float32))
 
-    def light(self, code: torch.Tensor) -> np.ndarray:
+    def light(self, code: torch.Tensor, log_scale: float) -> np.ndarray:
         """What the operator acts on, (M', 3)."""
-        return self.pool.down(self.radiance(code)).T.numpy().astype(np.float64)
+        return self.pooled(self.radiance(code, log_scale))
 
-    def slopes(self, code: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Radiance (3, M) and its derivative in the code (3, M)."""
+    def pooled(self, radiance: torch.Tensor) -> np.ndarray:
+        """Radiance (3, M) as the operator's light (M', 3)."""
+        return self.pool.down(radiance).T.numpy().astype(np.float64)
+
+    def slopes(self, code: torch.Tensor, log_scale: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """Radiance (3, M) and its derivative in the code (3, M); decoding is elementwise."""
         with torch.enable_grad():
             leaf = code.clone().requires_grad_(True)
-            L = self.radiance(leaf)
-            (g,) = torch.autograd.grad(L.sum(), leaf)  # decoding is elementwise
-        return L.detach(), g
-
-    def scaled(self, mu: np.ndarray) -> torch.Tensor:
-        """Colours (R, 3) as numbers in z, (3, R)."""
-        q = torch.from_numpy(np.log(-np.log1p(-mu / ALBEDO_MAX)).T.astype(np.float32))
-        return (q - COLOUR) * (self.width / COLOUR_SPREAD)
-
-    def unscaled(self, numbers: torch.Tensor) -> np.ndarray:
-        """Inverse of `scaled`."""
-        u = np.exp(
-            np.minimum(
-                numbers.T.numpy().astype(np.float64) * (COLOUR_SPREAD / self.width) + COLOUR, 10.0
-            )
-        )  # e^-e^10 is 0
-        return np.clip(-ALBEDO_MAX * np.expm1(-u), 1e-6, ALBEDO_MAX * (1 - 1e-6))
-
-    def put(self, z: torch.Tensor) -> Theta:
-        """The photos get the colours of z."""
-        theta = self.photos.theta.copy()
-        theta.mu = self.colours(z)
-        self.photos.set(theta)
-        return theta
-
-    def value(self, z: torch.Tensor) -> float:
-        theta = self.put(z)
-        prior = log_prior(theta) + float(np.log(steepness(theta.mu)).sum())
-        return (
-            self.photos.value(self.light(self.code(z)))
-            + prior
-            + 0.5 * float(z[:, self.size :].square().sum()) / self.width**2
-        )
-
-    def residual(self, z: torch.Tensor) -> torch.Tensor:
-        """Of `expansion`, (3, n)."""
-        self.put(z)
-        return self.photos.residual(self.light(self.code(z)))
-
-    def pulled(self, z: torch.Tensor, w: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Adjoint of the expansion in the code (3, M) and in the scaled colours (3, R), for w (3,
-        n).
-        """
-        steep = torch.from_numpy(steepness(self.put(z).mu).T.astype(np.float32))
-        L, g = self.slopes(self.code(z))
-        light, colours = self.photos.adjoint(self.pool.down(L).T.numpy().astype(np.float64), w)
-        return self.pool.up(light) * g, colours * steep * (COLOUR_SPREAD / self.width)
-
-    def linear(self, z: torch.Tensor):
-        """Slope g (3, M), T (3, n, M'), residual (3, n), V (3, n, R) at z."""
-        steep = torch.from_numpy(steepness(self.put(z).mu).T[:, None].astype(np.float32))
-        L, g = self.slopes(self.code(z))
-        T, residual, V = self.photos.whitened(self.pool.down(L).T.numpy().astype(np.float64))
-        return g, T, residual, V * steep * (COLOUR_SPREAD / self.width)
+            radiance = self.radiance(leaf, log_scale)
+            (slope,) = torch.autograd.grad(radiance.sum(), leaf)
+        return radiance.detach(), slope
 
 
-class PixelCode(Coded):
-    """z (3, M + R): the code itself."""
+@dataclass(frozen=True)
+class PixelUnknowns:
+    """z (3, M + R): the code of `pixels` = M pixels itself."""
 
-    @property
-    def size(self) -> int:
-        return self.prior.height * self.prior.width
+    pixels: int
+    width: float
 
-    def join(self, code: torch.Tensor, theta: Theta) -> torch.Tensor:
-        """z of a code (3, M) and colours."""
-        return torch.cat([code, self.scaled(theta.mu)], 1)
+    def join(self, code: torch.Tensor, color: np.ndarray) -> torch.Tensor:
+        """z of a code (3, M) and mean colours (R, 3)."""
+        return torch.cat([code, color_numbers(color, self.width)], 1)
 
-    def centre(self, code: torch.Tensor) -> torch.Tensor:
+    def about(self, code: torch.Tensor, regions: int) -> torch.Tensor:
         """What z is drawn about, for a code drawn about `code`."""
-        return torch.cat([code, torch.zeros(3, len(self.photos.theta.m))], 1)
+        return torch.cat([code, torch.zeros(3, regions)], 1)
 
-    def colours(self, z: torch.Tensor) -> np.ndarray:
-        return self.unscaled(z[:, self.size :])
+    def numbers(self, z: torch.Tensor) -> torch.Tensor:
+        """The part of z that stands for colours."""
+        return z[:, self.pixels :]
+
+    def colors(self, z: torch.Tensor) -> np.ndarray:
+        """Mean colours (R, 3) of z."""
+        return colors_of(self.numbers(z), self.width)
 
     def code(self, z: torch.Tensor) -> torch.Tensor:
-        return z[:, : self.size]
+        """Code (3, M) of z."""
+        return z[:, : self.pixels]
 
-    def adjoint(self, z: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
-        return torch.cat(self.pulled(z, w), 1)
+    def gathered(self, code: torch.Tensor, colors: torch.Tensor) -> torch.Tensor:
+        """Slopes in the code (3, M) and in the colours' numbers (3, R) as one in z."""
+        return torch.cat([code, colors], 1)
 
-    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Fold]:
-        """Gauss-Newton."""
-        g, T, residual, V = self.linear(z)
-        fold = Fold(self.pool, g, V.shape[2])
-        return torch.cat([T * fold.root[:, None], V], 2), residual, fold
+    def assembled(
+        self, pool: Pool, slope: torch.Tensor, T: torch.Tensor, r: torch.Tensor, V: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, Fold]:
+        """J, r and the fold of an expansion, from the decoder's slope and the rows' T, r, V."""
+        fold = Fold(pool, slope, V.shape[2])
+        return torch.cat([T * fold.root[:, None], V], 2), r, fold
+
+    def flat(self, r: torch.Tensor) -> torch.Tensor:
+        """Residuals (3, n) in the shape of the expansion's: as they are."""
+        return r
 
 
 class Modes:
     """Leading modes of a Gaussian prior, in the codes of `prior`, whose rows the Gaussian's divide;
-    `operator`: rows of the light that T acts on.
+    `light_rows`: rows of the light that the operator acts on.
     """
 
-    def __init__(self, gaussian: GaussianPrior, prior, count: int, operator: int):
+    def __init__(self, gaussian: GaussianPrior, prior: LightPrior, count: int, light_rows: int):
         ratio = gaussian.log_spread / prior.log_spread
         B, variance = gaussian.modes(count)
-        self.B, self.variance = (
-            ratio * B,
-            ratio**2 * variance,
-        )  # (K, 3, m); (K,), the squared norms of B
-        self.fine, self.coarse = (
-            Pool(prior.height, gaussian.height),
-            Pool(gaussian.height, operator),
-        )
+        self.B = ratio * B  # (K, 3, m)
+        self.variance = ratio**2 * variance  # (K,), the squared norms of B
+        self.fine = Pool(prior.height, gaussian.height)
+        self.coarse = Pool(gaussian.height, light_rows)
 
     def around(self, mean: torch.Tensor, weighted: torch.Tensor) -> torch.Tensor:
         """Code (3, M): mean (3, M) + sum of weighted (K,) modes."""
@@ -189,68 +163,135 @@ class Modes:
         """Adjoint of `around`'s sum, (K,), of (3, M)."""
         return torch.einsum("kcm,cm->k", self.B, pooled(code, self.fine.shape[0]))
 
-    def moved(self, g: torch.Tensor) -> torch.Tensor:
-        """Change of the operator's light per mode, (3, K, M'), for slopes g (3, M)."""
-        slope = self.fine.down(g)
-        return torch.stack([self.coarse.down(self.B[:, c] * slope[c]) for c in range(3)])
+    def moved(self, slope: torch.Tensor) -> torch.Tensor:
+        """Change of the operator's light per mode, (3, K, M'), for the decoder's slope (3, M)."""
+        coarse = self.fine.down(slope)
+        return torch.stack([self.coarse.down(self.B[:, c] * coarse[c]) for c in range(3)])
 
 
-class ModeCode(Coded):
+@dataclass(frozen=True)
+class ModeUnknowns:
     """z (1, K + 3 R): coefficients of the modes, N(0, 1), about `mean` (3, M) seen through noise of
     deviation sigma.
 
-    A code x_0 ~ N(., C) seen as x_0 + sigma n has the covariance (C^-1 + sigma^-2)^-1: mode k keeps
-    sigma^2 / (v_k + sigma^2).
+    A code x_0 ~ N(., C) seen as x_0 + sigma n has the covariance (C^-1 + sigma^-2)^-1: mode k of
+    variance v_k keeps sigma^2 / (v_k + sigma^2) of it, `keep` (K,) is the root of that.
     """
 
-    def __init__(
-        self,
-        photos: Photos,
-        prior,
-        log_scale: float,
-        modes: Modes,
-        mean: torch.Tensor,
-        sigma: float = np.inf,
-    ):
-        super().__init__(photos, prior, log_scale, 1.0)
-        self.modes, self.mean, self.size = modes, mean, len(modes.variance)
-        self.keep = (
-            torch.ones(self.size)
-            if np.isinf(sigma)
-            else (sigma**2 / (modes.variance + sigma**2)).sqrt()
-        )
+    modes: Modes
+    mean: torch.Tensor
+    keep: torch.Tensor
+    width: float = 1.0
 
-    def join(self, c: torch.Tensor, theta: Theta) -> torch.Tensor:
-        """z of coefficients (1, K) and colours."""
-        return torch.cat([c, self.scaled(theta.mu).reshape(1, -1)], 1)
+    @classmethod
+    def seen(cls, modes: Modes, mean: torch.Tensor, sigma: float = np.inf) -> ModeUnknowns:
+        """About a mean seen through noise of deviation sigma; infinite: the prior itself."""
+        v = modes.variance
+        plain = np.isinf(sigma)
+        keep = torch.ones(len(v)) if plain else (sigma**2 / (v + sigma**2)).sqrt()
+        return cls(modes, mean, keep)
 
-    def centre(self, c: torch.Tensor) -> torch.Tensor:
-        return torch.cat([c, torch.zeros(1, 3 * len(self.photos.theta.m))], 1)
+    @property
+    def size(self) -> int:
+        """K."""
+        return len(self.keep)
 
-    def colours(self, z: torch.Tensor) -> np.ndarray:
-        return self.unscaled(z[:, self.size :].reshape(3, -1))
+    def join(self, coefficients: torch.Tensor, color: np.ndarray) -> torch.Tensor:
+        """z of coefficients (1, K) and mean colours (R, 3)."""
+        return torch.cat([coefficients, color_numbers(color, self.width).reshape(1, -1)], 1)
 
-    def code(self, z: torch.Tensor) -> torch.Tensor:
-        return self.modes.around(self.mean, z[0, : self.size] * self.keep)
+    def about(self, coefficients: torch.Tensor, regions: int) -> torch.Tensor:
+        """What z is drawn about, for coefficients drawn about `coefficients`."""
+        return torch.cat([coefficients, torch.zeros(1, 3 * regions)], 1)
 
-    def coefficients(self, code: torch.Tensor) -> torch.Tensor:
-        """(1, K) whose `code` is nearest to a code (3, M)."""
+    def coefficients(self, z: torch.Tensor) -> torch.Tensor:
+        """(1, K) of z."""
+        return z[:, : self.size]
+
+    def nearest(self, code: torch.Tensor) -> torch.Tensor:
+        """Coefficients (1, K) whose code is nearest to a code (3, M)."""
         return (self.modes.within(code - self.mean) / self.keep)[None]
 
-    def adjoint(self, z: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
-        code, colours = self.pulled(z, w.reshape(3, -1))
-        return torch.cat([self.keep * self.modes.along(code), colours.reshape(-1)])[None]
+    def numbers(self, z: torch.Tensor) -> torch.Tensor:
+        """The part of z that stands for colours."""
+        return z[:, self.size :]
 
-    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Whole]:
-        """Gauss-Newton; the three channels are one system, for the modes couple them."""
-        g, T, residual, V = self.linear(z)
-        J = torch.einsum("cnm,ckm->cnk", T, self.modes.moved(g)) * self.keep
-        colours = torch.block_diag(*V)
-        return (
-            torch.cat([J.reshape(-1, self.size), colours], 1)[None],
-            residual.reshape(1, -1),
-            Whole(),
-        )
+    def colors(self, z: torch.Tensor) -> np.ndarray:
+        """Mean colours (R, 3) of z."""
+        return colors_of(self.numbers(z).reshape(3, -1), self.width)
+
+    def code(self, z: torch.Tensor) -> torch.Tensor:
+        """Code (3, M) of z, or of coefficients (1, K) alone."""
+        return self.modes.around(self.mean, z[0, : self.size] * self.keep)
+
+    def gathered(self, code: torch.Tensor, colors: torch.Tensor) -> torch.Tensor:
+        """Slopes in the code (3, M) and in the colours' numbers (3, R) as one in z."""
+        return torch.cat([self.keep * self.modes.along(code), colors.reshape(-1)])[None]
+
+    def assembled(
+        self, pool: Pool, slope: torch.Tensor, T: torch.Tensor, r: torch.Tensor, V: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, Whole]:
+        """J, r and the fold of an expansion; the three channels are one system, for the modes
+        couple them.
+        """
+        J = torch.einsum("cnm,ckm->cnk", T, self.modes.moved(slope)) * self.keep
+        colors = torch.block_diag(*V)
+        return torch.cat([J.reshape(-1, self.size), colors], 1)[None], self.flat(r), Whole()
+
+    def flat(self, r: torch.Tensor) -> torch.Tensor:
+        """Residuals (3, n) in the shape of the expansion's, (1, 3 n)."""
+        return r.reshape(1, -1)
+
+
+@dataclass(frozen=True)
+class CodeLikelihood:
+    """Log-likelihood of z (a `gaussian_approximation.LightLikelihood`): rows at the code and the
+    colours of z, decoded with a given scale.
+    """
+
+    rows: RowLikelihood
+    decoder: Decoder
+    unknowns: PixelUnknowns | ModeUnknowns
+    log_scale: float
+
+    def at(self, z: torch.Tensor) -> RowLikelihood:
+        """The rows with the colours of z."""
+        return self.rows.recolored(self.unknowns.colors(z))
+
+    def light(self, z: torch.Tensor) -> np.ndarray:
+        """The operator's light (M', 3) of z."""
+        return self.decoder.light(self.unknowns.code(z), self.log_scale)
+
+    def color_slope(self, rows: RowLikelihood) -> torch.Tensor:
+        """d log mu / d z of the colours' numbers, (3, R)."""
+        return torch.from_numpy(steepness(rows.materials.color).T.astype(np.float32))
+
+    def value(self, z: torch.Tensor) -> float:
+        """Log-likelihood and exact prior of the colours, less the reference Gaussian's."""
+        rows, width = self.at(z), self.unknowns.width
+        materials = rows.materials
+        prior = log_prior(materials) + float(np.log(steepness(materials.color)).sum())
+        reference = 0.5 * float(self.unknowns.numbers(z).square().sum()) / width**2
+        return rows.value(self.light(z)) + prior + reference
 
     def residual(self, z: torch.Tensor) -> torch.Tensor:
-        return super().residual(z).reshape(1, -1)
+        """Of `expansion`."""
+        return self.unknowns.flat(self.at(z).residual(self.light(z)))
+
+    def adjoint(self, z: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
+        """Of `expansion`, for w like its residual: like z."""
+        rows = self.at(z)
+        steep = self.color_slope(rows)
+        radiance, slope = self.decoder.slopes(self.unknowns.code(z), self.log_scale)
+        light, colors = rows.adjoint(self.decoder.pooled(radiance), w.reshape(3, -1))
+        scaled = colors * steep * (COLOR_SPREAD / self.unknowns.width)
+        return self.unknowns.gathered(self.decoder.pool.up(light) * slope, scaled)
+
+    def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Fold | Whole]:
+        """Gauss-Newton: J, r and fold, see `gaussian_approximation.LightLikelihood`."""
+        rows = self.at(z)
+        steep = self.color_slope(rows)[:, None]
+        radiance, slope = self.decoder.slopes(self.unknowns.code(z), self.log_scale)
+        T, r, V = rows.expansion(self.decoder.pooled(radiance))
+        scaled = V * steep * (COLOR_SPREAD / self.unknowns.width)
+        return self.unknowns.assembled(self.decoder.pool, slope, T, r, scaled)

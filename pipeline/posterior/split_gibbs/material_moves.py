@@ -1,258 +1,363 @@
-"""Markov-chain moves of the region materials and of the light's scale, the light's pattern held
-(likelihood.py's letters).
+"""Markov-chain moves of the materials, the noise and the light's scale, the light's pattern held.
 
-Given the light, the photos of one region say nothing of another (light off the object is held
-during a block), so all of them propose at once; they accept one after the other, for the prior
-joins their colours. Metropolis-Hastings throughout: Theta and the scale are drawn, not optimised.
+Given the light, the rows of one region say nothing of another (light off the object is held during
+a block), so all of them propose at once; they accept one after the other, for the prior joins their
+colours. Metropolis-Hastings and exact conditionals throughout: all of it is drawn, not optimised.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
+import torch
 from scipy.special import logsumexp
 
-from pipeline.posterior.problem import ALBEDO_MAX
-from pipeline.posterior.split_gibbs.likelihood import (
-    BETWEEN,
-    METALLIC,
-    Photos,
-    Theta,
-    metallic_step,
-    mix,
+from pipeline.posterior.split_gibbs.light_codes import Decoder
+from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, point_materials
+from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step, mix
+from pipeline.posterior.split_gibbs.material_prior import (
+    color_parts,
+    log_color_of,
+    log_own_prior,
+    log_prior,
 )
+from pipeline.posterior.split_gibbs.noise import draw_noise
+from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
+from pipeline.posterior.split_gibbs.state import Kernel, Noise, Randomness, RegionMaterials, State
 
-METALLIC_PRIOR = np.log(
-    np.array([8, 4, 2, 1, 0.7, 0.5, 0.5, 0.5, 0.7, 1, 2, 4, 4]) / 28.9
-)  # things are metal or not
-DIELECTRIC, METAL = (
-    (np.log(0.3), 0.7),
-    (np.log(0.6), 0.35),
-)  # mean and width of log base colour, mean of channels; between them by metallic
-CHROMA = 0.35  # width of log base colour between channels
-COMMON = 0.5  # share of both variances that all regions of an object have in common
-TAIL = 3.0  # degrees of freedom of Student's t: black paint and dyes are far out
-TAU_PRIOR = (np.log(0.3), 0.7)
-OFFSETS = (
-    BETWEEN * np.arange(-3, 4),
-    np.array([-9, -6, -4, -2, 0, 2, 4, 6, 9]),
-)  # of a point from its region: roughness levels, steps of METALLIC
-WIDTHS = np.array(
-    [0.0, 0.7, 1.5, 3.0]
-)  # of the discrete normal that offsets come from, in units of UNITS
+# of a point from its region: steps of roughness, steps of METALLIC
+OFFSETS = BETWEEN * np.arange(-3, 4), np.array([-9, -6, -4, -2, 0, 2, 4, 6, 9])
+# of the discrete normal that offsets come from, in units of UNITS
+WIDTHS = np.array([0.0, 0.7, 1.5, 3.0])
 UNITS = BETWEEN, 1
-WIDTH_PRIOR = np.log(
-    [0.5, 0.2, 0.2, 0.1]
-)  # a region is of one material unless its points say otherwise
-SCALE_PRIOR = 1.5  # deviation of the log light scale about the level that fits a grey object
+# a region is of one material unless its points say otherwise
+WIDTH_PRIOR = np.log([0.5, 0.2, 0.2, 0.1])
+# deviation of the log light scale about the scale that fits a grey object
+SCALE_PRIOR = 1.5
+GAUGE_STEPS = 60
+# acceptance that step sizes adapt towards, how fast, and their bounds
+ACCEPTANCE, ADAPTATION, STEP_BOUNDS = 0.3, 0.05, (0.003, 0.5)
+
+Proposal = Callable[[RegionMaterials, int, np.random.Generator, np.ndarray], RegionMaterials]
 
 
-def joint_tail(square: float, total: np.ndarray, count: int, freedom: int) -> float:
-    """Log of Student's t of `count` standardised rows of which `freedom` columns are independent,
-    from their sum of squares and their sums by column; rows correlate by COMMON.
-    """
-    apart = (square - COMMON / (1 + (count - 1) * COMMON) * float(total @ total)) / (1 - COMMON)
-    return -0.5 * (TAIL + freedom * count) * float(np.log1p(apart / TAIL))
+def propose_spread(
+    materials: RegionMaterials, roughnesses: int, rng: np.random.Generator, step: np.ndarray
+) -> RegionMaterials:
+    """Symmetric proposal for every region's spread of base colour, in its log."""
+    move = step * rng.normal(size=len(step)) * 1.5
+    return replace(materials, spread=materials.spread * np.exp(move))
 
 
-def colour_parts(mu: np.ndarray, m: np.ndarray) -> np.ndarray:
-    """What `log_colour_of` needs of every region's colour (R, 3) and metallic (R,): standardised
-    brightness, its square, log width, the chroma's sum of squares, and chroma (R, 7).
-    """
-    log_mu = np.log(mu)
-    mean = log_mu.mean(1)
-    centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
-    bright, chroma = (mean - centre) / width, (log_mu - mean[:, None]) / CHROMA
-    return np.column_stack([bright, bright**2, np.log(width), (chroma**2).sum(1), chroma])
-
-
-def log_colour_of(total: np.ndarray, count: int) -> float:
-    """`log_colour_prior` from the sum (7,) of `count` regions' `colour_parts`."""
-    return (
-        joint_tail(total[1], total[:1], count, 1)
-        - float(total[2])
-        + joint_tail(total[3], total[4:], count, 2)
-    )
-
-
-def log_colour_prior(mu: np.ndarray, m: np.ndarray) -> float:
-    """Of all regions' colours (R, 3) given their metallic (R,) together, up to a constant: an
-    object is dark or bright, grey or tinted, as a whole too. Independent colours would make the
-    common brightness and tint, which the light trades with, the surer the more regions there are.
-    """
-    return log_colour_of(colour_parts(mu, m).sum(0), len(m))
-
-
-def log_own_prior(theta: Theta) -> np.ndarray:
-    """Of every region's spread of colour and metallic (R,), up to a constant; -inf where a value is
-    impossible.
-    """
-    out = -0.5 * ((np.log(theta.tau) - TAU_PRIOR[0]) / TAU_PRIOR[1]) ** 2
-    out = out + METALLIC_PRIOR[metallic_step(theta.m)]
-    return np.where((theta.mu >= ALBEDO_MAX).any(1) | (theta.tau > 3), -np.inf, out)
-
-
-def log_prior(theta: Theta) -> float:
-    """Of all materials, up to a constant."""
-    return log_colour_prior(theta.mu, theta.m) + float(log_own_prior(theta).sum())
-
-
-def propose_spread(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarray) -> Theta:
-    """Symmetric proposal for every region's spread of base colour."""
-    new = theta.copy()
-    new.tau = theta.tau * np.exp(width * rng.normal(size=len(width)) * 1.5)
-    return new
-
-
-def propose_colour(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarray) -> Theta:
+def propose_color(
+    materials: RegionMaterials, roughnesses: int, rng: np.random.Generator, step: np.ndarray
+) -> RegionMaterials:
     """Symmetric proposal for every region's mean colour, in its log."""
-    new, regions = theta.copy(), len(theta.m)
+    regions = len(materials)
     common = rng.normal(size=(regions, 1)) * (rng.random((regions, 1)) < 0.5)
-    new.mu = theta.mu * np.exp(width[:, None] * (common + 0.5 * rng.normal(size=(regions, 3))))
-    return new
+    move = step[:, None] * (common + 0.5 * rng.normal(size=(regions, 3)))
+    return replace(materials, color=materials.color * np.exp(move))
 
 
-def propose(theta: Theta, levels: int, rng: np.random.Generator, width: np.ndarray) -> Theta:
+def propose_all(
+    materials: RegionMaterials, roughnesses: int, rng: np.random.Generator, step: np.ndarray
+) -> RegionMaterials:
     """Symmetric proposal for every region: mean colour always, roughness and metallic half of the
-    time each.
+    time each; a fifth of these moves go anywhere.
     """
-    new, regions = propose_colour(theta, levels, rng, width), len(theta.m)
-    step = np.where(
+    new = propose_color(materials, roughnesses, rng, step)
+    regions = len(materials)
+    jump = np.where(
         rng.random(regions) < 0.2,
-        rng.integers(-levels, levels + 1, regions),
+        rng.integers(-roughnesses, roughnesses + 1, regions),
         rng.integers(-BETWEEN, BETWEEN + 1, regions),
     )
-    new.level = np.where(rng.random(regions) < 0.5, theta.level + step, theta.level)
+    moves = rng.random(regions) < 0.5
+    roughness = np.where(moves, materials.roughness + jump, materials.roughness)
+
     jump = np.where(
         rng.random(regions) < 0.2, rng.integers(-12, 13, regions), rng.integers(-1, 2, regions)
     )
-    at = metallic_step(theta.m)
-    at = np.where(rng.random(regions) < 0.5, at + jump, at)
-    inside = (new.level >= 0) & (new.level < levels) & (at >= 0) & (at < len(METALLIC))
-    new.level, new.m = (
-        np.where(inside, new.level, theta.level),
-        np.where(inside, METALLIC[at % len(METALLIC)], theta.m),
+    now = metallic_step(materials.metallic)
+    metallic = np.where(rng.random(regions) < 0.5, now + jump, now)
+
+    inside = (roughness >= 0) & (roughness < roughnesses)
+    inside = inside & (metallic >= 0) & (metallic < len(METALLIC))
+    return replace(
+        new,
+        roughness=np.where(inside, roughness, materials.roughness),
+        metallic=np.where(inside, METALLIC[metallic % len(METALLIC)], materials.metallic),
     )
-    return new
 
 
-def rows_of(lobes: np.ndarray, photos: Photos, theta: Theta) -> tuple[np.ndarray, np.ndarray]:
-    """U, W (n, 3) from the lobes under the light (levels, 4, n, 3)."""
-    level, m = (v[photos.rows.point] for v in photos.point_materials(theta))
-    return mix(lobes[level, :, np.arange(lobes.shape[2])].transpose(1, 0, 2), m[:, None])
+def seen_by(
+    data: RowData, seen: np.ndarray, materials: RegionMaterials, offsets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """U and W (n, 3) from what every lobe sees of the light, `seen` (steps, 4, n, 3)."""
+    roughness, metallic = (
+        values[data.rows.point] for values in point_materials(data, materials, offsets)
+    )
+    lobes = seen[roughness, :, np.arange(seen.shape[2])].transpose(1, 0, 2)
+    return mix(lobes, metallic[:, None])
 
 
 def draw_regions(
-    photos: Photos,
-    lobes: np.ndarray,
-    theta: Theta,
+    model: RowModel,
+    seen: np.ndarray,
+    materials: RegionMaterials,
+    offsets: np.ndarray,
     steps: int,
-    rng,
-    width: np.ndarray,
-    proposal=propose,
-) -> Theta:
-    """`steps` Metropolis-Hastings steps of every region. `width` (R,) adapts towards 30 %
-    acceptance, in place.
+    rng: np.random.Generator,
+    step: np.ndarray,
+    proposal: Proposal = propose_all,
+) -> tuple[RegionMaterials, np.ndarray, np.ndarray]:
+    """`steps` Metropolis-Hastings steps of every region, given what every lobe sees (steps, 4, n,
+    3) of the light.
+
+    step (R,): step sizes. Returns materials, adapted step sizes, and the share of accepted
+    proposals (R,).
     """
-    likelihood = lambda t: np.bincount(
-        photos.region, photos.point_values(*rows_of(lobes, photos, t), t), len(t.m)
-    )
-    total = lambda t: np.where(
-        t.m > photos.lobes.most_metallic[t.level], -np.inf, likelihood(t) + log_own_prior(t)
-    )
-    now = total(theta)
+    data = model.data
+    most = data.lobes.most_metallic
+
+    def log_density(m: RegionMaterials) -> np.ndarray:
+        points = model.point_values(*seen_by(data, seen, m, offsets), m)
+        likelihood = np.bincount(data.region, points, len(m))
+        impossible = m.metallic > most[m.roughness]
+        return np.where(impossible, -np.inf, likelihood + log_own_prior(m))
+
+    now = log_density(materials)
+    taken = np.zeros(len(materials))
     for _ in range(steps):
-        new = proposal(theta, len(lobes), rng, width)
-        then = total(new)
-        yes = accepted(theta, new, then - now, rng)
-        mixed = lambda a, b: np.where(yes.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
-        theta, now = (
-            Theta(*(mixed(a, b) for a, b in zip(vars(new).values(), vars(theta).values()))),
-            np.where(yes, then, now),
-        )
-        width *= np.exp(0.05 * (yes - 0.3))
-        np.clip(width, 0.003, 0.5, out=width)
-    return theta
+        new = proposal(materials, len(seen), rng, step)
+        then = log_density(new)
+        yes = accepted(materials, new, then - now, rng)
+        materials = new.where(yes, materials)
+        now = np.where(yes, then, now)
+        step = np.clip(step * np.exp(ADAPTATION * (yes - ACCEPTANCE)), *STEP_BOUNDS)
+        taken += yes
+    return materials, step, taken / max(steps, 1)
 
 
-def draw_offsets(photos: Photos, lobes: np.ndarray, theta: Theta, rng) -> None:
-    """How far every point's roughness level and metallic lie from its region's, in place: discrete
-    normals of a width that each region draws for itself, 0 among them, with its points' offsets
-    summed out.
+def accepted(
+    materials: RegionMaterials, new: RegionMaterials, gain: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Which regions take their new materials (R,), one after the other; gain (R,): what speaks for
+    it beside the prior of the colours.
     """
-    for kind, steps in enumerate(OFFSETS):
-        table = []
-        for step in steps:
-            photos.offset[kind] = step
-            table.append(photos.point_values(*rows_of(lobes, photos, theta), theta))
-        table, prior = np.stack(table, 1), log_offset(steps / UNITS[kind])[:, None]
-        for r in range(len(theta.m)):
-            mine = np.flatnonzero(photos.region == r)
-            values = table[mine][None] + prior  # (widths, points, steps)
-            width = categorical(logsumexp(values, 2).sum(1)[None] + WIDTH_PRIOR, rng)[0]
-            photos.offset[kind, mine] = steps[categorical(values[width], rng)]
-
-
-def log_offset(steps: np.ndarray) -> np.ndarray:
-    """Log-probability of every offset (widths, steps)."""
-    with np.errstate(divide="ignore"):
-        value = np.where(steps == 0, 0.0, -0.5 * (steps / np.maximum(WIDTHS[:, None], 1e-9)) ** 2)
-    return value - logsumexp(value, 1, keepdims=True)
-
-
-def categorical(log_odds: np.ndarray, rng) -> np.ndarray:
-    """An index per row of log odds (n, k)."""
-    return (log_odds + rng.gumbel(size=log_odds.shape)).argmax(1)
-
-
-def accepted(theta: Theta, new: Theta, gain: np.ndarray, rng) -> np.ndarray:
-    """Which regions take their new materials, one after the other; gain (R,): what speaks for it
-    beside the prior of the colours.
-    """
-    yes, old = np.zeros(len(gain), bool), colour_parts(theta.mu, theta.m)
-    change, total = colour_parts(new.mu, new.m) - old, old.sum(0)
-    now = log_colour_of(total, len(gain))
-    for r, level in enumerate(np.log(rng.random(len(gain)))):
-        then = log_colour_of(total + change[r], len(gain))
-        yes[r] = level < gain[r] + then - now
+    regions = len(gain)
+    yes = np.zeros(regions, bool)
+    old = color_parts(materials.color, materials.metallic)
+    change = color_parts(new.color, new.metallic) - old
+    total = old.sum(0)
+    now = log_color_of(total, regions)
+    for r, threshold in enumerate(np.log(rng.random(regions))):
+        then = log_color_of(total + change[r], regions)
+        yes[r] = threshold < gain[r] + then - now
         if yes[r]:
             total, now = total + change[r], then
     return yes
 
 
+def draw_offsets(
+    model: RowModel,
+    seen: np.ndarray,
+    materials: RegionMaterials,
+    offsets: np.ndarray,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """How far every point's roughness and metallic lie from its region's (2, p): discrete normals
+    of a width that each region draws for itself, 0 among them, with its points' offsets summed out.
+    """
+    data = model.data
+    offsets = offsets.copy()
+    for kind, steps in enumerate(OFFSETS):
+        columns = []
+        for step in steps:
+            offsets[kind] = step
+            columns.append(model.point_values(*seen_by(data, seen, materials, offsets), materials))
+        table = np.stack(columns, 1)
+        prior = log_offset(steps / UNITS[kind])[:, None]
+        for r in range(len(materials)):
+            mine = np.flatnonzero(data.region == r)
+            values = table[mine][None] + prior  # (widths, points, steps)
+            width = categorical(logsumexp(values, 2).sum(1)[None] + WIDTH_PRIOR, rng)[0]
+            offsets[kind, mine] = steps[categorical(values[width], rng)]
+    return offsets
+
+
+def log_offset(steps: np.ndarray) -> np.ndarray:
+    """Log-probability of every offset (widths, steps)."""
+    with np.errstate(divide="ignore"):
+        far = -0.5 * (steps / np.maximum(WIDTHS[:, None], 1e-9)) ** 2
+    value = np.where(steps == 0, 0.0, far)
+    return value - logsumexp(value, 1, keepdims=True)
+
+
+def categorical(log_odds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """An index per row of log odds (n, k)."""
+    return (log_odds + rng.gumbel(size=log_odds.shape)).argmax(1)
+
+
+def scale_only(shift: np.ndarray) -> float:
+    """Log-density of a shift (3,) of the code's channels where the code must stay."""
+    return 0.0 if not shift.any() else -np.inf
+
+
+class GaugeInfo(NamedTuple):
+    """accepted: moves out of GAUGE_STEPS; shift (3,): of the light's log radiance."""
+
+    accepted: int
+    shift: np.ndarray
+
+
 def draw_gauge(
-    photos: Photos, U, W, theta: Theta, log_scale: float, centre: float, pull, steps: int, rng
-) -> tuple[Theta, float, np.ndarray]:
+    model: RowModel,
+    U: np.ndarray,
+    W: np.ndarray,
+    materials: RegionMaterials,
+    log_scale: float,
+    centre: float,
+    pull: Callable[[np.ndarray], float],
+    steps: int,
+    rng: np.random.Generator,
+) -> tuple[RegionMaterials, float, GaugeInfo]:
     """Moves along what the photos hardly tell: light brighter, base colours darker; the same per
     channel.
 
-    `pull(shift (3,))` is the log-density of adding `shift` to the light's log radiance per channel.
-    Returns the new Theta, log scale and shift.
+    U and W (n, 3): what the lobes see now; `pull(shift (3,))`: log-density of adding `shift` to the
+    light's log radiance per channel; `centre`: mean of the log scale's prior. Returns materials,
+    log scale, and the shift with the count of accepted moves.
     """
-    shift = np.zeros(3)
 
-    def value(t, log_s, d):
-        gain = np.exp(log_s - log_scale + d)
-        return (
-            photos.point_values(U * gain, W * gain, t).sum()
-            + log_prior(t)
-            + pull(d)
-            - 0.5 * ((log_s - centre) / SCALE_PRIOR) ** 2
-        )
+    def log_density(m: RegionMaterials, s: float, d: np.ndarray) -> float:
+        gain = np.exp(s - log_scale + d)
+        rows = model.point_values(U * gain, W * gain, m).sum()
+        scale = 0.5 * ((s - centre) / SCALE_PRIOR) ** 2
+        return rows + log_prior(m) + pull(d) - scale
 
-    now, log_s = value(theta, log_scale, shift), log_scale
+    shift, scale, taken = np.zeros(3), log_scale, 0
+    now = log_density(materials, log_scale, shift)
     for k in range(steps):
         step = rng.normal() * 10 ** rng.uniform(-2.5, -0.3)
-        new, new_s, new_shift = theta.copy(), log_s, shift.copy()
+        color, new_scale, new_shift = materials.color.copy(), scale, shift.copy()
         if k % 2:
-            new_s = log_s + step
-            new.mu = theta.mu * np.exp(-step)
+            new_scale = scale + step
+            color = materials.color * np.exp(-step)
         elif k % 4 == 0:
             c = int(rng.integers(3))
             new_shift[c] += step
-            new.mu[:, c] = theta.mu[:, c] * np.exp(-step)
+            color[:, c] = materials.color[:, c] * np.exp(-step)
         else:  # scale against the code's own mean: no row changes
-            new_s, new_shift = log_s + step, shift - step
-        then = value(new, new_s, new_shift)
+            new_scale, new_shift = scale + step, shift - step
+
+        new = replace(materials, color=color)
+        then = log_density(new, new_scale, new_shift)
         if np.log(rng.random()) < then - now:
-            theta, log_s, shift, now = new, new_s, new_shift, then
-    return theta, log_s, shift
+            materials, scale, shift, now = new, new_scale, new_shift, then
+            taken += 1
+    return materials, scale, GaugeInfo(taken, shift)
+
+
+def gauge_kernel(
+    mixer: Mixer, decoder: Decoder, centre: float, pull_of: Callable[[State], Callable]
+) -> Kernel:
+    """Kernel (Step 4b, Step 5b): the light's scale, its channels' brightness and the mean colours,
+    the pattern held.
+
+    `pull_of(state)` is `draw_gauge`'s pull.
+    """
+
+    def kernel(rng: Randomness, state: State) -> tuple[State, GaugeInfo]:
+        rows = RowLikelihood.of(mixer, state)
+        U, W = rows.predict(decoder.light(state.code, state.log_scale))
+        materials, log_scale, info = draw_gauge(
+            rows.model,
+            U,
+            W,
+            state.materials,
+            state.log_scale,
+            centre,
+            pull_of(state),
+            GAUGE_STEPS,
+            rng.numpy,
+        )
+        shift = (info.shift / decoder.prior.log_spread).astype(np.float32)
+        code = state.code + torch.from_numpy(shift)[:, None]
+        return replace(state, code=code, log_scale=log_scale, materials=materials), info
+
+    return kernel
+
+
+class MaterialInfo(NamedTuple):
+    """accepted (R,): share of accepted proposals; noise: the relative error drawn."""
+
+    accepted: np.ndarray
+    noise: float
+
+
+def material_kernel(
+    mixer: Mixer, decoder: Decoder, steps: int, proposal: Proposal = propose_all
+) -> Kernel:
+    """Kernel (Step 4c, Step 5c): region materials, the points' offsets (with `propose_all`
+    only), then the spread of colours and the noise given the points' colours.
+    """
+
+    def kernel(rng: Randomness, state: State) -> tuple[State, MaterialInfo]:
+        light = decoder.light(state.code, state.log_scale)
+        rows = RowLikelihood.of(mixer, state)
+        seen = mixer.data.lobes.apply(light, rows.nodes(light))
+        model = rows.model
+
+        materials, color_step, taken = draw_regions(
+            model,
+            seen,
+            state.materials,
+            state.offsets,
+            steps,
+            rng.numpy,
+            state.color_step,
+            proposal,
+        )
+        offsets = state.offsets
+        if proposal is propose_all:
+            offsets = draw_offsets(model, seen, materials, offsets, rng.numpy)
+
+        even = model.row_by_row()
+        materials, spread_step, _ = draw_regions(
+            even,
+            seen,
+            materials,
+            offsets,
+            steps // 3,
+            rng.numpy,
+            state.spread_step,
+            propose_spread,
+        )
+        drawn = RowLikelihood.at(mixer, state.noise, materials, offsets)
+        noise = draw_row_noise(rng, drawn, even, light)
+        new = replace(
+            state,
+            materials=materials,
+            offsets=offsets,
+            noise=replace(noise, design_effect=state.noise.design_effect),
+            color_step=color_step,
+            spread_step=spread_step,
+        )
+        return new, MaterialInfo(taken, noise.scale)
+
+    return kernel
+
+
+def draw_row_noise(
+    rng: Randomness, rows: RowLikelihood, even: RowModel, light: np.ndarray
+) -> Noise:
+    """The rows' errors under a light, given colours drawn for the points; `even`: the rows' model
+    in which each counts in full.
+    """
+    U, W = rows.predict(light)
+    colors = even.draw_colors(U, W, rows.materials, rng.numpy)
+    return draw_noise(even, U, W, colors, rng.numpy)

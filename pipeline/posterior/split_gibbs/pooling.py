@@ -37,30 +37,31 @@ class Pool:
         f = fine // coarse
         self.shape = (coarse, f, 2 * coarse, f)
         rows = solid_angles(fine, 2 * fine)[:, 0].reshape(coarse, f)
-        share = rows / (rows.sum(1, keepdims=True) * f)  # of a pixel in its block
-        self.share = torch.from_numpy(share.astype(np.float32))[None, :, :, None, None]
+        of_pixel = rows / (rows.sum(1, keepdims=True) * f)
+        self.weight = torch.from_numpy(of_pixel.astype(np.float32))[None, :, :, None, None]
 
     def down(self, v: torch.Tensor) -> torch.Tensor:
         """Block means (3, M') of pixels (3, M)."""
-        return v if self.shape[1] == 1 else self.total(v.reshape(len(v), *self.shape) * self.share)
+        return v if self.shape[1] == 1 else self.total(v.reshape(len(v), *self.shape) * self.weight)
 
     def total(self, x: torch.Tensor) -> torch.Tensor:
         """Sums (3, M') over blocks (3, h, f, w, f); pixel by pixel of a block, 3 to 9 times as fast
         as torch's sum over two axes.
         """
         f = self.shape[1]
-        return sum(x[:, :, i, :, j] for i in range(f) for j in range(f)).reshape(len(x), -1)
+        pixels = (x[:, :, i, :, j] for i in range(f) for j in range(f))
+        return sum(pixels, torch.zeros(())).reshape(len(x), -1)
 
     def up(self, u: torch.Tensor) -> torch.Tensor:
         """Adjoint of `down`: (3, M') -> (3, M)."""
         h, f, w, _ = self.shape
         return (
-            (u.reshape(len(u), h, 1, w, 1) * self.share).expand(-1, h, f, w, f).reshape(len(u), -1)
+            (u.reshape(len(u), h, 1, w, 1) * self.weight).expand(-1, h, f, w, f).reshape(len(u), -1)
         )
 
     def norm(self, g: torch.Tensor) -> torch.Tensor:
         """Norm (3, M') of the rows of P diag(g), g (3, M)."""
-        return self.total((g.reshape(len(g), *self.shape) * self.share) ** 2).sqrt()
+        return self.total((g.reshape(len(g), *self.shape) * self.weight) ** 2).sqrt()
 
     def spread(self, u: torch.Tensor) -> torch.Tensor:
         """Every pixel of a block gets the block's value: (3, M') -> (3, M)."""

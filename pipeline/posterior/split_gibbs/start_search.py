@@ -1,84 +1,91 @@
 """A start for the chain: region materials by their evidence, with the light integrated out roughly.
 
 Roughness and light explain each other: moving one while the other is held gets stuck at whatever
-the fit had. Here some of the points do for all, the light has the Gaussian prior's leading modes
+the fit had. Here some of the points stand for all, the light has the Gaussian prior's leading modes
 only, and region after region draws its roughness and metallic from all candidates, the light and
-the region's colour integrated out by Laplace's method for each:
+the region's colour integrated out by Laplace's method for each candidate k:
 
-    log p(y | k) ~ l(c, k) + b' H^-1 b / 2 - log det H / 2,   H = I + sum over regions J' J,   b =
-    sum J' r - c
+    log p(y | k) ~ l(c, k) + b' H^-1 b / 2 - log det H / 2,
+    H = I + sum over regions J' J,   b = sum J' r - c
 
 Letters: c (K,) coefficients of the modes, J (3 n, K) and r (3 n,) whitened rows of one region
-linearised at c (coded.ModeCode).
+linearised at c.
 """
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
-from pipeline.posterior.split_gibbs.light_codes import ModeCode, Modes
-from pipeline.posterior.split_gibbs.light_draws import cholesky
-from pipeline.posterior.split_gibbs.likelihood import BETWEEN, METALLIC, Lobes, Photos, Theta, mix
-from pipeline.posterior.split_gibbs.material_moves import categorical, log_prior
+from pipeline.posterior.split_gibbs.gaussian_approximation import cholesky
+from pipeline.posterior.split_gibbs.light_codes import Decoder, Modes, ModeUnknowns
+from pipeline.posterior.split_gibbs.likelihood import whiteners
+from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, LobeTable, mix
+from pipeline.posterior.split_gibbs.material_moves import categorical
+from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.pooling import pooled
+from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
+from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
 from pipeline.prior.gaussian import GaussianPrior
-from pipeline.render.transport import Rows, Transport
+from pipeline.render.rows import Rows
 
-ROWS = 16  # of the light: the modes are no finer
-ERROR, THINNING = (
-    0.1,
-    3.0,
-)  # relative error, and rows per independent one, assumed during the search
-LIGHT_FIRST = 3  # steps of the light before materials are drawn
-SEARCH_COMPONENTS = 200  # leading modes of the Gaussian prior
-FEW = 0.05  # weight of saturated rows where they hardly count
-UNIFORM = [
-    (level * BETWEEN, m) for level in (0, 2, 5) for m in (0.0, 1.0)
-]  # roughness level and metallic of whole objects
+# rows of the light: the modes are no finer
+ROWS = 16
+# relative error, and rows per independent one, assumed during the search
+ERROR, THINNING = 0.1, 3.0
+# steps of the light before materials are drawn
+LIGHT_FIRST = 3
+# leading modes of the Gaussian prior
+SEARCH_COMPONENTS = 200
+# weight of saturated rows where they hardly count
+FEW = 0.05
+# roughness step and metallic of whole objects
+UNIFORM = [(step * BETWEEN, m) for step in (0, 2, 5) for m in (0.0, 1.0)]
 CANDIDATES = METALLIC[[0, 4, 8, 12]]
+# deviations of any mode that one step may move it by: log light is linear nearby only
+LONGEST = 3.0
 
 
-def coarse(photos: Photos) -> tuple[Transport, Lobes]:
-    """Operator and lobes for lights of ROWS rows."""
-    transport, lobes = copy(photos.transport), copy(photos.lobes)
-    transport.h = min(ROWS, transport.h)
-    lobes.direct = [pooled(F, transport.h) for F in photos.lobes.direct]
-    return transport, lobes
+def coarse_lobes(data: RowData) -> tuple[LobeTable, int]:
+    """Lobes for lights of at most ROWS rows, and their rows."""
+    light_rows = min(ROWS, data.light_rows)
+    direct = [pooled(F, light_rows) for F in data.lobes.direct]
+    return replace(data.lobes, direct=direct), light_rows
 
 
-def subset(photos: Photos, transport: Transport, lobes: Lobes, points: np.ndarray) -> Photos:
-    """Some of the points only, as one region, seen by `coarse` lobes; `points` sorted."""
-    keep, lobes = np.isin(photos.rows.point, points), copy(lobes)
-    lobes.direct, lobes.off = (
-        [F[:, torch.from_numpy(keep)] for F in lobes.direct],
-        [],
-    )  # the search leaves light between parts out
-    rows = Rows(photos.rows.observation[keep], np.searchsorted(points, photos.rows.point[keep]))
-    out = Photos(
-        transport,
-        lobes,
-        photos.observed[keep],
-        photos.clipped[keep],
-        np.zeros(len(points), int),
-        1,
-        rows,
-    )
-    out.eta, out.kappa = ERROR, THINNING
-    out.share, out.ceiling = photos.share[points], photos.ceiling[points]
-    return out
+def subset(data: RowData, lobes: LobeTable, light_rows: int, points: np.ndarray) -> RowData:
+    """Some of the points only, as one region, seen by `coarse_lobes`; `points` sorted.
 
-
-@dataclass
-class Piece:
-    """One region at one candidate: its Theta (of one region), log-likelihood, J'J (K, K) and J'r
-    (K,).
+    The search leaves light between parts out.
     """
+    keep = np.isin(data.rows.point, points)
+    mine = torch.from_numpy(keep)
+    return RowData(
+        transport=data.transport,
+        lobes=replace(lobes, direct=[F[:, mine] for F in lobes.direct], off=[]),
+        rows=Rows(data.rows.observation[keep], np.searchsorted(points, data.rows.point[keep])),
+        observed=data.observed[keep],
+        clipped=data.clipped[keep],
+        region=np.zeros(len(points), int),
+        ceiling=data.ceiling[points],
+        point_weight=data.point_weight[points],
+        light_rows=light_rows,
+        bounces=1,
+    )
 
-    theta: Theta
+
+def assumed_noise(data: RowData, saturated: float) -> Noise:
+    """The errors assumed during the search; `saturated`: weight of saturated rows."""
+    return Noise(ERROR, np.where(data.clipped, saturated, 1.0), THINNING)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One region at one candidate: its materials, log-likelihood, J'J (K, K) and J'r (K,)."""
+
+    materials: RegionMaterials
     value: float
     H: torch.Tensor
     b: torch.Tensor
@@ -90,184 +97,199 @@ class Linear:
     """
 
     def __init__(
-        self, parts: list[Photos], c: torch.Tensor, light: np.ndarray, moved: torch.Tensor
+        self, parts: list[RowData], c: torch.Tensor, light: np.ndarray, moved: torch.Tensor
     ):
-        self.parts, self.c, self.light, self.moved, self.known = (
-            parts,
-            c,
-            torch.from_numpy(light.astype(np.float32)),
-            moved,
-            {},
-        )
+        self.parts = parts
+        self.c = c
+        self.light = torch.from_numpy(light.astype(np.float32))
+        self.moved = moved
+        self.known: dict[tuple[int, int], tuple[np.ndarray, torch.Tensor]] = {}
 
-    def lobes(self, r: int, level: int) -> tuple[np.ndarray, torch.Tensor]:
-        """Region r's four lobes at a roughness level: under the light (4, n, 3), and under its
-        modes (3, 4, n, K).
+    def lobes(self, r: int, roughness: int) -> tuple[np.ndarray, torch.Tensor]:
+        """Region r's four lobes at a roughness step: under the light (4, n, 3), and under its modes
+        (3, 4, n, K).
         """
-        if (r, level) not in self.known:
-            F = self.parts[r].lobes.at(level)
-            self.known[r, level] = (
-                (F @ self.light).numpy(),
-                torch.stack([F @ change.T for change in self.moved]),
-            )
-        return self.known[r, level]
+        if (r, roughness) not in self.known:
+            F = self.parts[r].lobes.at(roughness)
+            under_modes = torch.stack([F @ change.T for change in self.moved])
+            self.known[r, roughness] = (F @ self.light).numpy(), under_modes
+        return self.known[r, roughness]
 
 
+@dataclass(frozen=True)
 class Search:
     """Draws of each region's roughness and metallic given the other regions'; light codes = mean +
     modes c with c ~ N(0, 1).
+
+    parts: a region each; noise: the errors assumed for each; log_scale: of the light, held.
     """
 
-    def __init__(
-        self,
-        photos: Photos,
+    parts: list[RowData]
+    noise: list[Noise]
+    decoder: Decoder
+    unknowns: ModeUnknowns
+    log_scale: float
+
+    @classmethod
+    def over(
+        cls,
+        data: RowData,
         gaussian: GaussianPrior,
         log_scale: float,
         points: int,
         rng: np.random.Generator,
-    ):
-        share, self.parts, small = min(1.0, points / len(photos.region)), [], coarse(photos)
-        for r in range(photos.region.max() + 1):
-            mine = rng.permutation(np.flatnonzero(photos.region == r))
-            self.parts.append(
-                subset(photos, *small, np.sort(mine[: max(8, round(share * len(mine)))]))
-            )  # small regions have a say too
-        modes = Modes(gaussian, gaussian, SEARCH_COMPONENTS, self.parts[0].transport.h)
-        self.coded = ModeCode(self.parts[0], gaussian, log_scale, modes, gaussian.flat_mean)
+    ) -> Search:
+        """With `points` of the points in all; every region keeps at least 8: small ones have a say
+        too.
+        """
+        part_kept = min(1.0, points / len(data.region))
+        lobes, light_rows = coarse_lobes(data)
+        parts = []
+        for r in range(data.region.max() + 1):
+            mine = rng.permutation(np.flatnonzero(data.region == r))
+            kept = np.sort(mine[: max(8, round(part_kept * len(mine)))])
+            parts.append(subset(data, lobes, light_rows, kept))
+        modes = Modes(gaussian, gaussian, SEARCH_COMPONENTS, light_rows)
+        unknowns = ModeUnknowns.seen(modes, gaussian.flat_mean)
+        noise = [assumed_noise(part, 1.0) for part in parts]
+        return cls(parts, noise, Decoder.onto(gaussian, light_rows), unknowns, log_scale)
+
+    def counting_saturated(self, weight: float) -> Search:
+        """The same search, in which saturated rows count by `weight`."""
+        return replace(self, noise=[assumed_noise(part, weight) for part in self.parts])
 
     def linear(self, c: torch.Tensor) -> Linear:
         """The light at coefficients c (K,), as the regions see it."""
-        code = self.coded.code(c[None])
-        return Linear(
-            self.parts,
-            c,
-            self.coded.light(code),
-            self.coded.modes.moved(self.coded.slopes(code)[1]),
-        )
+        code = self.unknowns.code(c[None])
+        light = self.decoder.light(code, self.log_scale)
+        slope = self.decoder.slopes(code, self.log_scale)[1]
+        return Linear(self.parts, c, light, self.unknowns.modes.moved(slope))
 
-    def stepped(self, theta: Theta, at: Linear, step: torch.Tensor) -> tuple[list[Piece], Linear]:
-        """The light moved by a step (K,): pieces of theta (of all regions) there."""
+    def stepped(
+        self, materials: RegionMaterials, at: Linear, step: torch.Tensor
+    ) -> tuple[list[Piece], Linear]:
+        """The light moved by a step (K,): pieces of all regions' materials there."""
         there = self.linear(damped(at.c, step))
-        return self.pieces(theta, there), there
+        return self.pieces(materials, there), there
 
-    def piece(self, r: int, theta: Theta, at: Linear) -> Piece:
-        """Region r with materials theta, its colour fitted to this light."""
-        part, level, m = self.parts[r], int(theta.level[0]), float(theta.m[0])
-        light, modes = at.lobes(r, level)
-        U, W = mix(light, m)
-        part.theta = theta = fitted_colour(part, theta, U, W)
-        rest, H, b = part.rest(U, W, theta), 0.0, 0.0
-        for c, whiten in enumerate(part.whiteners(U, W)):
-            u, w = mix(modes[c], m)
-            J = whiten(float(theta.mu[0, c]) * u + w)
-            H, b = (
-                H + J.T @ J,
-                b + J.T @ whiten(torch.from_numpy(rest[:, c : c + 1].astype(np.float32)))[:, 0],
-            )
-        return Piece(theta, float(part.point_values(U, W, theta).sum()), H, b)
+    def piece(self, r: int, materials: RegionMaterials, at: Linear) -> Piece:
+        """Region r with materials, its colour fitted to this light."""
+        model = RowModel(self.parts[r], self.noise[r])
+        metallic = float(materials.metallic[0])
+        light, modes = at.lobes(r, int(materials.roughness[0]))
+        U, W = mix(light, metallic)
+        materials = fitted_color(model, materials, U, W)
+        rest = model.rest(U, W, materials)
 
-    def pieces(self, theta: Theta, at: Linear) -> list[Piece]:
-        """Every region at its part of theta."""
-        return [self.piece(r, theta.of([r]), at) for r in range(len(self.parts))]
+        H, b = torch.zeros(()), torch.zeros(())
+        for c, whiten in enumerate(whiteners(model, U, W, materials)):
+            u, w = mix(modes[c], metallic)
+            J = whiten(float(materials.color[0, c]) * u + w)
+            r_c = torch.from_numpy(rest[:, c : c + 1].astype(np.float32))
+            H, b = H + J.T @ J, b + J.T @ whiten(r_c)[:, 0]
+        return Piece(materials, float(model.point_values(U, W, materials).sum()), H, b)
+
+    def pieces(self, materials: RegionMaterials, at: Linear) -> list[Piece]:
+        """Every region at its part of the materials."""
+        return [self.piece(r, materials.of([r]), at) for r in range(len(self.parts))]
 
     def draw_material(
-        self, group: list[int], pieces: list[Piece], at: Linear, rng
-    ) -> tuple[Theta, torch.Tensor]:
+        self, group: list[int], pieces: list[Piece], at: Linear, rng: np.random.Generator
+    ) -> tuple[RegionMaterials, torch.Tensor]:
         """One roughness and metallic for all regions of `group`, or what they have, by evidence:
-        Theta of all regions, and the light's step that goes with it (K,).
+        materials of all regions, and the light's step that goes with it (K,).
         """
         lobes = self.parts[0].lobes
         choices = [
-            (level, m)
-            for level in range(0, len(lobes.levels), BETWEEN)
+            (step, m)
+            for step in range(0, len(lobes.roughness), BETWEEN)
             for m in CANDIDATES
-            if m <= lobes.most_metallic[level]
+            if m <= lobes.most_metallic[step]
         ]
-        changed = lambda choice: [
-            self.piece(r, p.theta.made_of(*choice), at) if r in group else p
-            for r, p in enumerate(pieces)
-        ]
+
+        def changed(choice: tuple[int, float]) -> list[Piece]:
+            return [
+                self.piece(r, p.materials.made_of(*choice), at) if r in group else p
+                for r, p in enumerate(pieces)
+            ]
+
         found = []
         for candidate in [pieces] + [changed(choice) for choice in choices]:
             step, gain = light_step(candidate, at.c)
             prior = log_prior(joined(candidate)) + shared(candidate, len(choices))
-            found.append((gain + sum(p.value for p in candidate) + prior, candidate, step))
-        _, chosen, step = found[categorical(np.array([[v for v, _, _ in found]]), rng)[0]]
+            evidence = gain + sum(p.value for p in candidate) + prior
+            found.append((evidence, candidate, step))
+        odds = np.array([[evidence for evidence, _, _ in found]])
+        _, chosen, step = found[categorical(odds, rng)[0]]
         return joined(chosen), step
 
-    def settled(self, theta: Theta, at: Linear) -> tuple[list[Piece], Linear]:
-        """Pieces of theta (of all regions) after a few steps of the light alone."""
-        pieces = self.pieces(theta, at)
+    def settled(self, materials: RegionMaterials, at: Linear) -> tuple[list[Piece], Linear]:
+        """Pieces of all regions' materials after a few steps of the light alone."""
+        pieces = self.pieces(materials, at)
         for _ in range(LIGHT_FIRST):
             pieces, at = self.stepped(joined(pieces), at, light_step(pieces, at.c)[0])
         return pieces, at
 
     def sweep(
-        self, order: list[list[int]], theta: Theta, c: torch.Tensor, rng
-    ) -> tuple[Theta, torch.Tensor]:
-        """Theta and coefficients (K,) after a draw for every group of `order`."""
-        pieces, at = self.settled(theta, self.linear(c))
+        self,
+        order: list[list[int]],
+        materials: RegionMaterials,
+        c: torch.Tensor,
+        rng: np.random.Generator,
+    ) -> tuple[RegionMaterials, torch.Tensor]:
+        """Materials and coefficients (K,) after a draw for every group of `order`."""
+        pieces, at = self.settled(materials, self.linear(c))
         for group in order:
-            theta, step = self.draw_material(group, pieces, at, rng)
-            pieces, at = self.stepped(theta, at, step)
+            materials, step = self.draw_material(group, pieces, at, rng)
+            pieces, at = self.stepped(materials, at, step)
         return joined(pieces), at.c
 
-    def count_saturated(self, weight: float) -> None:
-        """How much saturated rows count from now on."""
-        for part in self.parts:
-            part.weight = np.where(part.clipped, weight, 1.0)
-
-    def alone(self, theta: Theta, flat: Linear) -> tuple[float, Theta, torch.Tensor]:
+    def alone(
+        self, materials: RegionMaterials, flat: Linear
+    ) -> tuple[float, RegionMaterials, torch.Tensor]:
         """Log-evidence of materials by Laplace's method, where light and colours settle from the
-        flat light; Theta and coefficients (K,) there.
+        flat light; materials and coefficients (K,) there.
         """
         at = flat
         for weight in (FEW, 1.0):
-            self.count_saturated(weight)
-            pieces, at = self.settled(theta, at)
-            theta = joined(pieces)
-        return (
-            light_step(pieces, at.c)[1] + sum(p.value for p in pieces) + log_prior(theta),
-            theta,
-            at.c,
-        )
+            pieces, at = self.counting_saturated(weight).settled(materials, at)
+            materials = joined(pieces)
+        evidence = light_step(pieces, at.c)[1] + sum(p.value for p in pieces)
+        return evidence + log_prior(materials), materials, at.c
 
     def run(
-        self, theta: Theta, sweeps: int, rng: np.random.Generator
-    ) -> list[tuple[Theta, torch.Tensor]]:
-        """Two starts, Theta of all regions and the light's coefficients (1, K), each after `sweeps`
-        over all regions at once and each alone: from `theta` and a flat light, the first sweep
-        without much of the saturated rows (every one is too dark, and materials that spread
-        highlights would explain them); and from the material in UNIFORM that has the most evidence
-        for all regions, with a light of its own.
+        self, materials: RegionMaterials, sweeps: int, rng: np.random.Generator
+    ) -> list[tuple[RegionMaterials, torch.Tensor]]:
+        """Step 2a: two starts, materials of all regions and a light code (3, m) each, after
+        `sweeps` over all regions at once and each alone.
 
+        One from `materials` and a flat light, the first sweep without much of the saturated rows:
+        every one is too dark, and materials that spread highlights would explain them. One from the
+        material in UNIFORM that has the most evidence for all regions, with a light of its own.
         Moves of one material, given the light of others, end at peaks hundreds of nats apart, and
         which is the true one a light of 16 rows cannot always say.
         """
-        count = len(self.parts)
-        order = lambda: [list(range(count))] + [[r] for r in rng.permutation(count)]
-        most, flat = self.parts[0].lobes.most_metallic, self.linear(torch.zeros(self.coded.size))
-        materials = [
-            (level, m)
-            for level, m in {(min(level, len(most) - 1), m) for level, m in UNIFORM}
-            if m <= most[level]
-        ]
-        uniform = max(
-            (self.alone(theta.made_of(*material), flat) for material in sorted(materials)),
-            key=lambda start: start[0],
-        )
-        found = [(theta, flat.c, FEW), (*uniform[1:], 1.0)]
-        for k, (now, c, weight) in enumerate(found):
+        regions = len(self.parts)
+        flat = self.linear(torch.zeros(self.unknowns.size))
+        most = self.parts[0].lobes.most_metallic
+        whole = {(min(step, len(most) - 1), m) for step, m in UNIFORM}
+        candidates = sorted((step, m) for step, m in whole if m <= most[step])
+        tried = (self.alone(materials.made_of(*candidate), flat) for candidate in candidates)
+        _, uniform, of_uniform = max(tried, key=lambda start: start[0])
+
+        found = []
+        for now, c, first_weight in ((materials, flat.c, FEW), (uniform, of_uniform, 1.0)):
             for sweep in range(sweeps):
-                self.count_saturated(1.0 if sweep else weight)
-                now, c = self.sweep(order(), now, c, rng)
-            found[k] = now, c[None]
+                search = self.counting_saturated(1.0 if sweep else first_weight)
+                order = [list(range(regions))] + [[r] for r in rng.permutation(regions)]
+                now, c = search.sweep(order, now, c, rng)
+            found.append((now, self.unknowns.code(c[None])))
         return found
 
 
-def joined(pieces: list[Piece]) -> Theta:
+def joined(pieces: list[Piece]) -> RegionMaterials:
     """The materials of all pieces."""
-    return Theta.joined([p.theta for p in pieces])
+    return RegionMaterials.joined([p.materials for p in pieces])
 
 
 def light_step(pieces: list[Piece], c: torch.Tensor) -> tuple[torch.Tensor, float]:
@@ -282,25 +304,25 @@ def shared(pieces: list[Piece], choices: int) -> float:
     """Log-probability that regions share materials as they do: a Chinese restaurant process (Aldous
     1985), up to a constant.
     """
-    have = [(p.theta.level[0], p.theta.m[0]) for p in pieces]
+    have = [(p.materials.roughness[0], p.materials.metallic[0]) for p in pieces]
     return sum(np.log1p(choices * have[:r].count(material)) for r, material in enumerate(have))
 
 
 def damped(c: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
-    """c moved by at most 3 deviations of any mode: log light is linear nearby only."""
-    return c + step * min(1.0, 3.0 / max(float(step.abs().max()), 1e-9))
+    """c moved by at most LONGEST deviations of any mode."""
+    return c + step * min(1.0, LONGEST / max(float(step.abs().max()), 1e-9))
 
 
-def fitted_colour(part: Photos, theta: Theta, U: np.ndarray, W: np.ndarray) -> Theta:
-    """The region's Theta with mean and spread of the points' best base colours, U and W (n, 3)
+def fitted_color(
+    model: RowModel, materials: RegionMaterials, U: np.ndarray, W: np.ndarray
+) -> RegionMaterials:
+    """The region's materials with mean and spread of the points' best base colours, U and W (n, 3)
     being what its lobes see.
     """
-    out = theta.copy()
-    colour = np.clip(
-        part.colours(*part.sums(U, part.rest(U, W, out), part.counted(U, W, out)), out)[0],
-        1e-3,
-        1.2,
-    )
-    out.mu[0] = np.clip(colour.mean(0), 0.01, 0.95)
-    out.tau[0] = np.clip((colour.std(0) / out.mu[0]).mean(), 0.05, 1.5)
-    return out
+    precision = model.counted(U, W, materials)
+    sums = model.sums(U, model.rest(U, W, materials), precision)
+    colors = np.clip(model.colors(*sums, materials)[0], 1e-3, 1.2)
+    color, spread = materials.color.copy(), materials.spread.copy()
+    color[0] = np.clip(colors.mean(0), 0.01, 0.95)
+    spread[0] = np.clip((colors.std(0) / color[0]).mean(), 0.05, 1.5)
+    return replace(materials, color=color, spread=spread)

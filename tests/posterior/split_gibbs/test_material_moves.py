@@ -3,69 +3,63 @@
 from types import SimpleNamespace
 
 import numpy as np
-from scipy import stats
 
-from pipeline.posterior.split_gibbs.likelihood import BETWEEN, NU, Photos, Theta
-from pipeline.posterior.split_gibbs.material_moves import (
+from pipeline.posterior.split_gibbs.likelihood import point_materials
+from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC
+from pipeline.posterior.split_gibbs.material_moves import draw_offsets, draw_regions
+from pipeline.posterior.split_gibbs.material_prior import (
     CHROMA,
     COMMON,
     DIELECTRIC,
     METAL,
-    METALLIC,
     METALLIC_PRIOR,
     TAIL,
-    draw_offsets,
-    draw_regions,
 )
-from pipeline.posterior.split_gibbs.regions import group, texel_regions
-from pipeline.posterior.split_gibbs.sampler import BLOCKS, SHARES, block_shares, sharpest
+from pipeline.posterior.split_gibbs.state import RegionMaterials
 
-MOST_METALLIC = np.repeat([1.0, 0.2], 4)  # of eight levels: no rough metals
+# of eight roughness steps: no rough metals
+MOST_METALLIC = np.repeat([1.0, 0.2], 4)
+# a model of two points, a region each, whose rows say nothing
 SILENT = SimpleNamespace(
-    region=np.array([0, 1]),
-    rows=SimpleNamespace(point=np.array([0, 1])),
-    point_materials=lambda t: (t.level, t.m),
-    point_values=lambda U, W, t: np.zeros(2),
-    lobes=SimpleNamespace(most_metallic=MOST_METALLIC),
+    data=SimpleNamespace(
+        region=np.array([0, 1]),
+        rows=SimpleNamespace(point=np.array([0, 1])),
+        lobes=SimpleNamespace(roughness=range(8), most_metallic=MOST_METALLIC),
+    ),
+    point_values=lambda U, W, materials: np.zeros(2),
 )
 
 
-def from_the_prior(rng) -> Theta:
+def from_the_prior(rng) -> RegionMaterials:
     """Two regions, directly: Student's t as a normal over a chi, impossible colours and rough
     metals thrown away.
     """
     root = np.linalg.cholesky((1 - COMMON) * np.eye(2) + COMMON)
     student = lambda k: root @ rng.normal(size=(2, k)) * np.sqrt(TAIL / rng.chisquare(TAIL))
     across = np.linalg.svd(np.ones((1, 3)))[2][1:]
+    odds = np.exp(METALLIC_PRIOR)
     while True:
-        level, m = (
-            rng.integers(8, size=2),
-            rng.choice(METALLIC, 2, p=np.exp(METALLIC_PRIOR) / np.exp(METALLIC_PRIOR).sum()),
-        )
+        roughness = rng.integers(8, size=2)
+        m = rng.choice(METALLIC, 2, p=odds / odds.sum())
         centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
-        mu = np.exp((centre + width * student(1)[:, 0])[:, None] + CHROMA * student(2) @ across)
-        if mu.max() < 0.98 and (m <= MOST_METALLIC[level]).all():
-            return Theta(mu, np.full(2, 0.3), level, m)
+        bright = (centre + width * student(1)[:, 0])[:, None]
+        color = np.exp(bright + CHROMA * student(2) @ across)
+        if color.max() < 0.98 and (m <= MOST_METALLIC[roughness]).all():
+            return RegionMaterials(color, np.full(2, 0.3), roughness, m)
 
 
-def figures(thetas: list[Theta]) -> np.ndarray:
-    """Quartiles of one region's log brightness, share of metals, mean level over 8, share of times
-    that both regions are on one side of its median, tint.
+def figures(draws: list[RegionMaterials]) -> np.ndarray:
+    """Quartiles of one region's log brightness, share of metals, mean roughness step over 8, share
+    of times that both regions are on one side of its median, tint.
     """
-    log_mu = np.log([t.mu for t in thetas])
-    bright, metal = log_mu.mean(2), np.array([t.m[0] > 0.5 for t in thetas])
+    log_color = np.log([t.color for t in draws])
+    bright, metal = log_color.mean(2), np.array([t.metallic[0] > 0.5 for t in draws])
     middle = np.median(bright)
-    tint = np.median(np.abs(log_mu[:, 0] - bright[:, :1]))
-    level = np.mean([t.level[0] for t in thetas]) / 8
-    return np.array(
-        [
-            *np.percentile(bright[:, 0], [25, 50, 75]),
-            metal.mean(),
-            level,
-            ((bright > middle).sum(1) != 1).mean(),
-            tint,
-        ]
-    )
+    tint = np.median(np.abs(log_color[:, 0] - bright[:, :1]))
+    roughness = np.mean([t.roughness[0] for t in draws]) / 8
+    together = ((bright > middle).sum(1) != 1).mean()
+    quartiles = np.percentile(bright[:, 0], [25, 50, 75])
+    return np.array([*quartiles, metal.mean(), roughness, together, tint])
 
 
 def test_moves_leave_the_prior_as_it_is():
@@ -74,128 +68,62 @@ def test_moves_leave_the_prior_as_it_is():
     """
     rng = np.random.default_rng(0)
     first = [from_the_prior(rng) for _ in range(2500)]
-    lobes = np.zeros((8, 4, 2, 3))
-    last = [draw_regions(SILENT, lobes, t, 40, rng, np.full(2, 0.5)) for t in first]
-    moved = np.mean([np.abs(a.mu - b.mu).max() > 0.01 for a, b in zip(first, last)])
-    assert moved > 0.9
+    seen, offsets = np.zeros((8, 4, 2, 3)), np.zeros((2, 2), int)
+    step = np.full(2, 0.5)
+    last = [draw_regions(SILENT, seen, t, offsets, 40, rng, step)[0] for t in first]
+    moved = np.mean([np.abs(a.color - b.color).max() > 0.01 for a, b in zip(first, last)])
+    assert moved > 0.9 and (step == 0.5).all()
     np.testing.assert_allclose(figures(last), figures(first), atol=0.06)
 
 
-def test_block_shares_are_even_in_the_mean_and_uneven_between_blocks():
-    rng, position = np.random.default_rng(1), np.random.default_rng(2).normal(size=(300, 3))
-    shares = np.array([block_shares(position, rng) for _ in range(200)])
-    assert np.allclose(shares.mean(1), 1) and all(len(np.unique(s)) == BLOCKS for s in shares)
-    assert np.abs(shares.mean(0) - 1).max() < 0.5 and 0.5 < shares.std(1).mean() < 1.3
-
-
-def test_regions_follow_the_base_colour_and_not_its_shade():
-    """Three paints, each in light and shadow by a fifth, are three regions, on points and on
-    texels.
-    """
-    rng = np.random.default_rng(3)
-    paints = np.array([[0.6, 0.1, 0.1], [0.1, 0.5, 0.2], [0.4, 0.4, 0.5]])
-    which = rng.integers(3, size=400)
-    label, centers = group(paints[which] * rng.uniform(0.8, 1.2, (400, 1)))
-    assert label.max() == 2 and all(len(np.unique(label[which == k])) == 1 for k in range(3))
-    texture = np.repeat(np.repeat(paints[None, [0, 1, 2, 2]], 16, 1), 64, 0).astype(np.float32)
-    found = texel_regions(texture, centers, 32)
-    expected = [label[which == k][0] for k in (0, 1, 2)]
-    assert [np.median(found[:, a:b]) for a, b in ((0, 7), (9, 15), (17, 32))] == expected
-
-
-def test_normals_that_wobble_show_no_sharp_lobe():
-    """alpha^2 = 2 sigma^2: exact normals set no bound, 5.5 degrees one near .34, wild ones leave
-    rough lobes over.
-    """
-    assert (
-        sharpest(0.0) == 0
-        and abs(sharpest(np.radians(5.47)) - 0.34) < 0.01
-        and sharpest(2.0) == 0.8
-    )
-    sigma = 0.08
-    tilts = np.linalg.norm(sigma * np.random.default_rng(0).normal(size=(20000, 2)), axis=1)
-    assert abs(sharpest(float(np.median(tilts))) ** 4 - 2 * sigma**2) < 0.05 * 2 * sigma**2
-
-
-def test_draws_differ_in_what_they_take_for_one_material():
-    """The share of the spread that regions explain is drawn: four paints, two of them alike, are
-    from two to four regions, never split oddly.
-    """
-    rng, paints = (
-        np.random.default_rng(5),
-        np.array([[0.6, 0.1, 0.1], [0.5, 0.14, 0.1], [0.1, 0.5, 0.2], [0.15, 0.15, 0.6]]),
-    )
-    which = np.arange(400) % 4
-    colours = paints[which] * rng.uniform(0.95, 1.05, (400, 1))
-    found = [group(colours, rng.uniform(*SHARES), k)[0] for k in range(20)]
-    counts = {label.max() + 1 for label in found}
-    assert len(counts) > 1 and counts <= {2, 3, 4}
-    assert group(colours, SHARES[0])[0].max() < group(colours, SHARES[1])[0].max()
-    assert all(
-        len(np.unique(label[which == k])) == 1
-        for label in found
-        if label.max() + 1 <= 3
-        for k in range(4)
-    )
-
-
 class Two:
-    """Two regions of 60 points; a point's log-likelihood falls with the distance of its level from
-    a target, or says nothing.
+    """Two regions of 60 points; a point's log-likelihood falls with the distance of its roughness
+    step from a target, or says nothing.
     """
 
     def __init__(self, targets, sharpness):
-        self.region, self.offset = np.repeat([0, 1], 60), np.zeros((2, 120), int)
-        self.targets, self.sharpness = targets, sharpness
-        self.rows, self.lobes = (
-            SimpleNamespace(point=np.arange(120)),
-            SimpleNamespace(levels=range(8 * BETWEEN), most_metallic=np.ones(8 * BETWEEN)),
+        steps = 8 * BETWEEN
+        self.data = SimpleNamespace(
+            region=np.repeat([0, 1], 60),
+            rows=SimpleNamespace(point=np.arange(120)),
+            lobes=SimpleNamespace(roughness=range(steps), most_metallic=np.ones(steps)),
         )
+        self.targets, self.sharpness = targets, sharpness
 
-    point_materials = Photos.point_materials
+    def point_values(self, U, W, materials):
+        """U is what the lobes see: here the roughness step itself (`steps_seen`)."""
+        return -0.5 * self.sharpness * (U[:, 0] - self.targets) ** 2
 
-    def point_values(self, U, W, theta):
-        return -0.5 * self.sharpness * (self.point_materials(theta)[0] - self.targets) ** 2
+
+def steps_seen() -> np.ndarray:
+    """Lobes (steps, 4, 120, 3) of which U, for dielectrics, is the roughness step."""
+    seen = np.zeros((8 * BETWEEN, 4, 120, 3))
+    seen[:, 0] = np.arange(8 * BETWEEN)[:, None, None]
+    return seen
 
 
-def drawn_offsets(targets, sharpness) -> np.ndarray:
-    photos, theta = (
-        Two(targets, sharpness),
-        Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([4, 4]) * BETWEEN, np.zeros(2)),
+def plain_regions() -> RegionMaterials:
+    """Two grey dielectrics of one roughness."""
+    return RegionMaterials(
+        np.full((2, 3), 0.3), np.full(2, 0.3), np.array([4, 4]) * BETWEEN, np.zeros(2)
     )
-    draw_offsets(photos, np.zeros((8 * BETWEEN, 4, 120, 3)), theta, np.random.default_rng(0))
-    return photos.offset
 
 
-def test_noise_density_is_students_t():
-    """Of three channels with one lambda, against scipy; an explained saturated row says nothing, an
-    unexplained one less than nothing.
-    """
-    relative = np.random.default_rng(0).normal(size=(50, 3)) ** 2
-    density = lambda eta, free, clipped: Photos.log_noise(
-        SimpleNamespace(
-            misfit=lambda *_: (np.where(free, 0, relative), free), eta=eta, clipped=clipped
-        ),
-        None,
-        None,
-        None,
-    )
-    none, flat = np.zeros((50, 3), bool), np.zeros(50, bool)
-    t = lambda eta: (
-        stats.multivariate_t(np.zeros(3), eta**2 * np.eye(3), df=NU).logpdf(np.sqrt(relative)).sum()
-    )
-    assert np.isclose(density(0.5, none, flat) - density(2.0, none, flat), t(0.5) - t(2.0))
-    first = np.arange(50) == 0
-    assert density(0.01, none, first) < density(0.01, none | first[:, None], first)
+def drawn_offsets(targets, sharpness, rng) -> np.ndarray:
+    """Offsets (2, 120), beginning with none."""
+    none = np.zeros((2, 120), int)
+    found = draw_offsets(Two(targets, sharpness), steps_seen(), plain_regions(), none, rng)
+    assert not none.any()
+    return found
 
 
 def test_points_leave_their_region_where_the_photos_say_so():
-    """One region of one level, one with every other point two levels up: found point by point; the
-    silent metallic stays as drawn from the prior.
+    """One region of one roughness, one with every other point two traced steps up: found point by
+    point.
     """
     targets = np.full(120, 4.0 * BETWEEN)
     targets[60::2] += 2 * BETWEEN
-    offset = drawn_offsets(targets, 10.0)
+    offset = drawn_offsets(targets, 10.0, np.random.default_rng(0))
     assert (offset[0, :60] == 0).all()
     assert np.abs(offset[0, 60:] - (targets[60:] - 4 * BETWEEN)).mean() < 0.1
 
@@ -203,11 +131,15 @@ def test_points_leave_their_region_where_the_photos_say_so():
 def test_points_stay_with_their_region_where_the_photos_say_nothing():
     """Then the width of a region's points comes from its prior: of 200 regions, half have none."""
     rng, alone = np.random.default_rng(1), []
+    region = np.repeat([0, 1], 60)
     for _ in range(100):
-        photos, theta = (
-            Two(np.zeros(120), 0.0),
-            Theta(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([4, 4]) * BETWEEN, np.zeros(2)),
-        )
-        draw_offsets(photos, np.zeros((8 * BETWEEN, 4, 120, 3)), theta, rng)
-        alone += [(photos.offset[0][photos.region == r] == 0).all() for r in (0, 1)]
+        offset = drawn_offsets(np.zeros(120), 0.0, rng)
+        alone += [(offset[0][region == r] == 0).all() for r in (0, 1)]
     assert abs(np.mean(alone) - 0.5) < 3 * (0.25 / 200) ** 0.5
+
+
+def test_offsets_stay_among_the_roughnesses_and_metals_there_are():
+    data = Two(np.zeros(120), 0.0).data
+    far = np.full((2, 120), 99)
+    roughness, metallic = point_materials(data, plain_regions(), far)
+    assert (roughness == 8 * BETWEEN - 1).all() and (metallic == 1).all()

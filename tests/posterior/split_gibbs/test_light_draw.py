@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.posterior.split_gibbs.light_draws import (
-    SLICES,
+from pipeline.posterior.split_gibbs.gaussian_approximation import (
     Curvature,
-    Laplace,
     LightLikelihood,
-    draw_light,
-    prior_steps,
-    widths,
+    approximate,
 )
+from pipeline.posterior.split_gibbs.light_draw import SLICES, draw_light
+from pipeline.posterior.split_gibbs.light_moves import prior_steps, widths
 from pipeline.posterior.split_gibbs.pooling import Fold, Pool, Whole
+from pipeline.posterior.split_gibbs.state import Randomness
 from pipeline.prior.gaussian import OPPONENT, GaussianPrior, spectra
 from pipeline.prior.sampling import reverse_diffusion
 from pipeline.prior.value_code import Code
@@ -52,16 +51,21 @@ class Linear(LightLikelihood):
         return self.J, self.residual(z), Whole()
 
 
+def randomness(seed) -> Randomness:
+    return Randomness(np.random.default_rng(seed), torch.Generator().manual_seed(seed))
+
+
 def chain(prior, likelihood, rhos, seed):
-    """One draw, as in pipeline/posterior/ours.py without materials."""
-    rng, noise = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
+    """One draw, as in pipeline/posterior/split_gibbs/sampler.py without materials."""
+    both = randomness(seed)
+    rng, noise = both
     shape = (1, 3, prior.height, prior.width)
     x = reverse_diffusion(
         prior, 20 * torch.randn(shape, generator=noise), 20.0, 10, None, rng, noise
     )
     z = x.reshape(3, -1)
     for rho in rhos:
-        z = draw_light(likelihood, x.reshape(3, -1), z, float(rho), 2, rng, noise)
+        z, _ = draw_light(both, likelihood, x.reshape(3, -1), z, float(rho), 2)
         x = reverse_diffusion(
             prior, z.reshape(shape), float(rho), prior_steps(rho), None, rng, noise
         )
@@ -105,7 +109,7 @@ def test_curvature_solves_and_draws(n):
     noise = torch.Generator().manual_seed(0)
     J, s = torch.randn(n, 12, generator=noise), 0.4
     A = J.T @ J + torch.eye(12) / s**2
-    curvature, b = Curvature(J, s), torch.randn(12, generator=noise)
+    curvature, b = Curvature.of(J, s), torch.randn(12, generator=noise)
     assert curvature.dual == (n < 12)
     assert torch.allclose(curvature.solve(b), torch.linalg.solve(A, b), atol=1e-4)
     draws = torch.stack([curvature.draw(noise) for _ in range(6000)])
@@ -147,7 +151,7 @@ class Pooled(LightLikelihood):
 def test_folding_changes_nothing():
     """Mode, solution and covariance of the small space's algebra against the large one's."""
     x = 0.3 * torch.randn(3, 129, generator=torch.Generator().manual_seed(1))
-    small, large = (Laplace(Pooled(f), x, x, 0.5) for f in (True, False))
+    small, large = (approximate(Pooled(f), x, x, 0.5) for f in (True, False))
     assert torch.allclose(small.mode, large.mode, atol=1e-4)
     b = torch.randn(3, 129, generator=torch.Generator().manual_seed(4))
     assert torch.allclose(small.solve(b), large.solve(b), atol=1e-4)
@@ -167,8 +171,8 @@ def test_the_peak_is_found_from_afar():
     light = (0.3 * torch.randn(3, 128, generator=torch.Generator().manual_seed(1))).exp()
     likelihood.y = 20 * torch.einsum("cnm,cm->cn", likelihood.T, likelihood.pool.down(light))
     target = lambda z: likelihood.value(z) - 0.5 * float((z - x).square().sum()) / 3.0**2
-    near = Laplace(likelihood, x, torch.cat([(20 * light).log(), torch.zeros(3, 1)], 1), 3.0)
-    far = Laplace(likelihood, x, x, 3.0)
+    near = approximate(likelihood, x, torch.cat([(20 * light).log(), torch.zeros(3, 1)], 1), 3.0)
+    far = approximate(likelihood, x, x, 3.0)
     assert target(far.mode) > target(near.mode) - 20 and target(x) < target(near.mode) - 1e3
 
 
@@ -193,14 +197,9 @@ def test_fresh_draws_have_the_posteriors_mean_and_spread():
     """Where the likelihood is not quadratic, begun far from the peak every time, against sums over
     a grid: to .2 deviations.
     """
-    likelihood, rng, noise, x = (
-        Bright(),
-        np.random.default_rng(0),
-        torch.Generator().manual_seed(0),
-        torch.zeros(3, 1),
-    )
+    likelihood, both, x = Bright(), randomness(0), torch.zeros(3, 1)
     draws = torch.stack(
-        [draw_light(likelihood, x, x - 4, 1.0, SLICES, rng, noise) for _ in range(600)]
+        [draw_light(both, likelihood, x, x - 4, 1.0, SLICES)[0] for _ in range(600)]
     )[:, :, 0].numpy()
     grid = np.linspace(-6, 4, 4001)[None]
     weight = np.exp(-0.5 * ((1 - np.exp(grid) / likelihood.y.numpy()) / 0.3) ** 2 - 0.5 * grid**2)
@@ -215,17 +214,11 @@ def test_fresh_draws_of_many_unknowns_do_not_stay_at_the_peak():
     """In 129 unknowns of which the data bind few, begun at the peak itself: the usual drop of log
     density is half their number.
     """
-    likelihood, rng, noise, x = (
-        Pooled(True),
-        np.random.default_rng(0),
-        torch.Generator().manual_seed(0),
-        torch.zeros(3, 129),
-    )
-    peak = Laplace(likelihood, x, x, 1.0).mode
+    likelihood, both, x = Pooled(True), randomness(0), torch.zeros(3, 129)
+    peak = approximate(likelihood, x, x, 1.0).mode
     target = lambda z: likelihood.value(z) - 0.5 * float((z - x).square().sum())
     drops = [
-        target(peak) - target(draw_light(likelihood, x, peak, 1.0, 2, rng, noise))
-        for _ in range(20)
+        target(peak) - target(draw_light(both, likelihood, x, peak, 1.0, 2)[0]) for _ in range(20)
     ]
     assert 0.65 < np.mean(drops) / (0.5 * 3 * 129) < 1.25
 

@@ -1,0 +1,58 @@
+"""Material maps under Adam, kept within their valid ranges."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import torch
+
+from pipeline.posterior.problem import ALBEDO_MAX
+from pipeline.render.renderer import Explanation, Gradient
+
+MAPS = ("base_color", "roughness", "metallic")
+SMOOTH = 80  # roughness and metallic gradients are blurred by 1 / SMOOTH of the texture's side
+BETAS = (0.9, 0.99)  # Adam's memory of slope and squared slope, in materials and light alike
+
+
+class MaterialOptimizer:
+    """Base colour, roughness and metallic as torch parameters (`values`, by name) under Adam, which
+    fit, guided sampling and refinement move (Eqs. 15, 16 and 17).
+    """
+
+    def __init__(self, explanation: Explanation, learning_rate, roughness_min: float):
+        """learning_rate: one number, or one per name of MAPS."""
+        self.values = {name: torch.from_numpy(getattr(explanation, name).copy()) for name in MAPS}
+        self.bounds = {
+            "base_color": (0.0, ALBEDO_MAX),
+            "roughness": (roughness_min, 1.0),
+            "metallic": (0.0, 1.0),
+        }
+
+        one_for_all = not isinstance(learning_rate, dict)
+        rates = dict.fromkeys(MAPS, learning_rate) if one_for_all else learning_rate
+        groups = [{"params": [self.values[name]], "lr": rates[name]} for name in MAPS]
+        self.adam = torch.optim.Adam(groups, betas=BETAS)
+
+    def step(self, gradient: Gradient) -> None:
+        """One step of Adam down the gradient, then back into the valid ranges."""
+        for name, value in self.values.items():
+            slope = np.ascontiguousarray(getattr(gradient, name), np.float32)
+            if name != "base_color":
+                # photos say little about the fine detail of gloss: move it as a smooth field
+                slope = cv2.GaussianBlur(slope, (0, 0), max(slope.shape[0] / SMOOTH, 0.5))
+            value.grad = torch.from_numpy(slope)
+
+        self.adam.step()
+        for name, value in self.values.items():
+            value.clamp_(*self.bounds[name])
+
+    def set_learning_rate(self, learning_rate: float) -> None:
+        """The same rate for all three maps."""
+        for group in self.adam.param_groups:
+            group["lr"] = learning_rate
+
+    def explanation(self, light: np.ndarray) -> Explanation:
+        """The maps as they are, under `light`. They share memory with the parameters: the next
+        step changes them.
+        """
+        return Explanation(light, *(self.values[name].numpy() for name in MAPS))

@@ -1,0 +1,191 @@
+"""Step 1 of split_gibbs: what a draw is made from, and the state it begins with.
+
+Rows of the photos over the surface, regions of like colour, the operator at every roughness, how
+much each point counts. What the model cannot say errs alike over whole parts of the surface, so
+every draw takes points, a grouping into regions, and weights of its own: a loss-likelihood
+bootstrap (Newton and Raftery 1994; Lyddon, Holmes and Walker 2019) of half strength.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from pipeline.base.config import Sample
+from pipeline.posterior.problem import ALBEDO_MAX, Problem, generators
+from pipeline.posterior.split_gibbs.light_codes import COMPONENTS, Decoder, Modes, ModeUnknowns
+from pipeline.posterior.split_gibbs.likelihood import Mixer
+from pipeline.posterior.split_gibbs.lobes import METALLIC, TRACED, LobeTable, metallic_step
+from pipeline.posterior.split_gibbs.regions import group, texel_regions
+from pipeline.posterior.split_gibbs.row_model import RowData, contrast
+from pipeline.posterior.split_gibbs.state import Noise, Randomness, RegionMaterials, State
+from pipeline.posterior.textures import gather
+from pipeline.prior.gaussian import GaussianPrior
+from pipeline.prior.load import load_prior
+from pipeline.prior.protocol import LightPrior
+from pipeline.prior.value_code import scale_of
+from pipeline.render.renderer import Explanation
+from pipeline.render.rows import choose_rows
+from pipeline.render.transport import Transport
+
+# pieces of surface that err together; shape of their gamma weights: half the variance of a full
+# bootstrap, for the draws' own spread adds to it
+BLOCKS, SHAPE = 12, 2.0
+# share of the spread of colours that regions explain, drawn afresh: nobody knows how many materials
+# there are, nor where one ends
+EXPLAINED = 0.6, 0.97
+# radiosity nodes beside the points, as a share of their number
+NODES = 0.5
+# noise and step sizes that a chain begins with
+FIRST_ERROR, FIRST_STEP, FIRST_SPREAD = 0.3, 0.05, 0.3
+
+
+@dataclass(frozen=True)
+class Model:
+    """What stays the same in a draw.
+
+    data: the rows; mixer: their lobes at any materials; prior: of light, the network's; gaussian:
+    the Gaussian prior of the start; log_scale_centre: mean of the log light scale's prior; view
+    (n,) and uv (n, 2) of every row; region_map (t, t): region of every texel.
+    """
+
+    data: RowData
+    mixer: Mixer
+    prior: LightPrior
+    gaussian: GaussianPrior
+    settings: Sample
+    log_scale_centre: float
+    view: np.ndarray
+    uv: np.ndarray
+    region_map: np.ndarray
+
+    def decoder(self, prior: LightPrior, gain: float = 1.0) -> Decoder:
+        """From codes of `prior` to what the operator acts on."""
+        return Decoder.onto(prior, self.data.light_rows, gain)
+
+    def modes(self, prior: LightPrior) -> Modes:
+        """Modes of the Gaussian prior in codes of `prior`."""
+        return Modes(self.gaussian, prior, COMPONENTS, self.data.light_rows)
+
+    @cached_property
+    def gaussian_unknowns(self) -> ModeUnknowns:
+        """The light as modes of the Gaussian prior about its mean."""
+        return ModeUnknowns.seen(self.modes(self.gaussian), self.gaussian.flat_mean)
+
+
+def start_materials(
+    fit: Explanation, uv: np.ndarray, region: np.ndarray, lobes: LobeTable
+) -> RegionMaterials:
+    """Region medians of the fit's maps at the points uv (p, 2), no more metallic than their
+    roughness can be.
+    """
+
+    def medians(name: str) -> np.ndarray:
+        values = gather(np.ascontiguousarray(getattr(fit, name)), uv).reshape(len(uv), -1)
+        return np.stack([np.median(values[region == r], axis=0) for r in range(region.max() + 1)])
+
+    color = np.clip(medians("base_color"), 0.02, 0.95)
+    distance = np.abs(np.array(lobes.roughness) - medians("roughness"))
+    roughness = distance.argmin(1)
+    metallic = METALLIC[metallic_step(medians("metallic")[:, 0])]
+    return RegionMaterials(
+        color=color,
+        spread=np.full(len(color), FIRST_SPREAD),
+        roughness=roughness,
+        metallic=np.minimum(metallic, lobes.most_metallic[roughness]),
+    )
+
+
+def sharpest(normal_error: float) -> float:
+    """Roughness of the sharpest lobe that normals of this median error (radians) can show.
+
+    Facets tilted by sigma per axis are a surface of alpha^2 = 2 sigma^2 (Beckmann; Olano and Baker
+    2010: variances of slopes add), alpha = roughness^2. A sharper lobe on such normals mirrors
+    another part of the light at every point, and so explains anything.
+    """
+    # the median length of two normal deviates is 1.18 sigma
+    sigma = normal_error / np.sqrt(2 * np.log(2))
+    return float(min((np.sqrt(2) * sigma) ** 0.5, TRACED[-2]))
+
+
+def block_weights(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """How much each point (p, 3) counts in this draw, mean 1: the same within a block of surface,
+    gamma between blocks.
+    """
+    centres = rng.choice(len(position), min(BLOCKS, len(position)), replace=False)
+    block = cKDTree(position[centres]).query(position)[1]
+    weight = rng.gamma(SHAPE, size=block.max() + 1)[block]
+    return weight / weight.mean()
+
+
+def set_up(
+    problem: Problem, prior: LightPrior, fit: Explanation, settings: Sample, seed: int
+) -> tuple[Randomness, Model, State]:
+    """Step 1: random numbers, model and first state of draw `seed`; `fit` is the point estimate."""
+    rng = Randomness(*generators(settings, seed))
+    observations = problem.observations
+    own = settings.seed + 1000 * seed
+
+    rows = choose_rows(observations, problem.renderer.scene, settings.points, settings.views, own)
+    starts = rows.starts
+    uv = observations.uv[rows.observation]
+
+    base_color = gather(fit.base_color, uv[starts])
+    explained, grouping = rng.numpy.uniform(*EXPLAINED), int(rng.numpy.integers(2**31))
+    region, centers = group(base_color, explained, grouping)
+
+    transport = Transport(
+        problem.renderer.scene,
+        problem.renderer.mesh,
+        observations,
+        rows,
+        settings.light,
+        round(NODES * len(starts)),
+        own,
+    )
+    roughness_min = max(problem.roughness_min, sharpest(problem.normal_error))
+    lobes = LobeTable.trace(transport, roughness_min, own)
+    data = replace(
+        RowData.plain(
+            transport,
+            lobes,
+            rows.patch @ observations.rgb,
+            region,
+            problem.renderer.max_depth - 1,
+        ),
+        clipped=rows.patch @ observations.clipped > 0,
+        point_weight=block_weights(transport.position[starts], rng.numpy),
+        ceiling=ALBEDO_MAX / contrast(rows, observations.rgb),
+    )
+
+    model = Model(
+        data=data,
+        mixer=Mixer(data),
+        prior=prior,
+        gaussian=load_prior(settings.search_prior),
+        settings=settings,
+        log_scale_centre=float(np.log(scale_of(fit.light))),
+        view=observations.view[rows.observation],
+        uv=uv,
+        region_map=texel_regions(fit.base_color, centers, settings.texture),
+    )
+    return rng, model, first_state(model, start_materials(fit, uv[starts], region, lobes))
+
+
+def first_state(model: Model, materials: RegionMaterials) -> State:
+    """Plain noise, no offsets, the Gaussian prior's mean light."""
+    regions = len(materials)
+    return State(
+        code=model.gaussian.flat_mean,
+        log_scale=model.log_scale_centre,
+        materials=materials,
+        offsets=np.zeros((2, len(model.data.region)), int),
+        noise=Noise(FIRST_ERROR, np.ones(len(model.data.observed))),
+        color_step=np.full(regions, FIRST_STEP),
+        spread_step=np.full(regions, FIRST_STEP),
+        coefficients=torch.zeros(1, COMPONENTS),
+    )

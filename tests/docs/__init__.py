@@ -1,0 +1,1 @@
+"""The pages: their tables, links and paths."""

@@ -1,0 +1,91 @@
+"""The rows' likelihood against dense linear algebra and integrals over a grid."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy import stats
+
+from pipeline.posterior.problem import SHADE
+from pipeline.posterior.split_gibbs.row_model import contrast
+from tests.posterior.split_gibbs.conftest import with_data
+
+
+def flat(rows):
+    """The same rows with colours known."""
+    spread = np.full_like(rows.materials.spread, 1e-6)
+    return replace(rows, materials=replace(rows.materials, spread=spread))
+
+
+def dense_value(rows, light) -> float:
+    """log of the integral of N(a; mu, v) on [0, ceiling] times N(y; a U + W, D kappa / weight) over
+    a, without the noise's constants.
+    """
+    (U, W), total = rows.predict(light), 0.0
+    data, noise, materials = rows.data, rows.noise, rows.materials
+    for p in range(len(data.region)):
+        k, r = data.rows.point == p, data.region[p]
+        for c in range(3):
+            mu, a = materials.color[r, c], np.linspace(0, data.ceiling[p, c], 8001)
+            prior = stats.norm(mu, materials.spread[r] * mu)
+            error = (noise.scale * (data.observed[k, c] + SHADE)) ** 2 / noise.weight[k]
+            D = noise.design_effect / data.point_weight[p] * error
+            e = data.observed[k, c] - a[:, None] * U[k, c] - W[k, c]
+            inside = np.log(prior.cdf(a[-1]) - prior.cdf(0))
+            log = -0.5 * (e**2 / D).sum(1) + prior.logpdf(a) - inside
+            total += log.max() + np.log(np.trapezoid(np.exp(log - log.max()), a))
+    return total
+
+
+def test_colour_is_integrated_out_exactly(rows, light):
+    value = rows.value(light)
+    assert abs(value - dense_value(rows, light)) < 1e-6 * abs(value) + 1e-6
+
+
+def test_contrast_is_that_of_the_brightest_tenth(transport, scene):
+    """Pixels of a patch that are all alike, and a fifth of them three times as bright."""
+    rgb = np.full((len(scene[1]), 3), 0.2)
+    np.testing.assert_allclose(contrast(transport.rows, rgb), 1)
+    rgb[np.random.default_rng(0).random(len(rgb)) < 0.2] = 0.6  # mean .28
+    assert 1.7 < np.median(contrast(transport.rows, rgb)) < 2.6
+
+
+def test_whitened_rows_have_the_likelihoods_curvature(rows, light):
+    """Without spread of colour the likelihood is quadratic in the light, and -|y - T L|^2 / 2 is
+    all of it.
+    """
+    known = flat(rows)
+    other = np.random.default_rng(5).uniform(0.1, 2, (128, 3))
+    T, r, _ = known.expansion(light)
+
+    def square(L):
+        step = torch.from_numpy((L - light).T.astype(np.float32))
+        return -0.5 * float((r - torch.einsum("cnm,cm->cn", T, step)).square().sum())
+
+    change = known.value(light) - known.value(other)
+    assert abs((square(light) - square(other)) - change) < 1e-3 * abs(known.value(other))
+
+
+def test_saturated_rows_are_lower_bounds(rows, light):
+    """Colours known: under a light too dark they count like any row; under one so bright that they
+    are explained they say nothing, nor does their slope.
+    """
+    plain = flat(rows)
+    clipped = np.arange(len(rows.data.observed)) % 3 == 0
+    bounded = with_data(plain, clipped=clipped)
+    dark, bright = 1e-3 * light, 1e3 * light
+    assert np.isclose(bounded.value(dark), plain.value(dark))
+    assert torch.allclose(bounded.residual(dark), plain.residual(dark))
+    assert (bounded.residual(bright)[:, clipped] == 0).all()
+    assert (bounded.residual(bright)[:, ~clipped] != 0).all()
+
+    ones = torch.ones(3, len(clipped))
+    slope = bounded.adjoint(bright, ones)[0]
+    only = bounded.adjoint(bright, ones * torch.from_numpy(~clipped))[0]
+    assert torch.allclose(slope, only)
+
+    weight = np.where(clipped, rows.noise.weight * 2, rows.noise.weight)
+    heavier = replace(bounded, noise=replace(rows.noise, weight=weight))
+    assert not np.isclose(heavier.value(dark), plain.value(dark))
+    before = bounded.value(bright)
+    assert abs(heavier.value(bright) - before) < 1e-3 * abs(before)  # the determinant alone

@@ -1,0 +1,190 @@
+"""What is said about the package in several places agrees, and setup.sh installs the whole lock."""
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from pipeline import __version__
+from pipeline.run.doctor import STACK
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+LOCK = (ROOT / "requirements.lock").read_text()
+PINS = dict(re.findall(r"^([^\s#=]+)==(\S+)", LOCK, re.MULTILINE))
+
+
+def declared(*extras: str) -> list[Requirement]:
+    """The project's direct dependencies, with those of optional groups."""
+    table = PROJECT["project"]
+    lines = table["dependencies"] + [
+        line for extra in extras for line in table["optional-dependencies"][extra]
+    ]
+    return [Requirement(line) for line in lines]
+
+
+def test_the_version_has_one_place():
+    assert PROJECT["project"]["dynamic"] == ["version"]
+    assert PROJECT["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "pipeline.__version__"}
+    assert CITATION["version"] == __version__
+
+
+def test_the_citation_names_software_and_paper():
+    assert CITATION["cff-version"] == "1.2.0" and CITATION["type"] == "software"
+    assert CITATION["license"] == PROJECT["project"]["license"] == "Apache-2.0"
+    assert CITATION["authors"] == PROJECT["project"]["authors"]
+    (paper,) = CITATION["references"]
+    families = [author["family-names"] for author in paper["authors"]]
+    assert families[0] == "Lyu" and families[-1] == "Theobalt" and len(families) == 7
+    assert (paper["volume"], paper["issue"], paper["year"]) == (42, 6, 2023)
+
+
+def third_party_imports(folder: str) -> set[str]:
+    """Top-level modules from outside that the files of a folder import, inside functions too."""
+    found = set()
+    for file in (ROOT / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                found.add(node.module.split(".")[0])
+    ours = {"pipeline", "stages", "benchmarks", "tests", "examples"}
+    return found - sys.stdlib_module_names - ours
+
+
+@pytest.mark.parametrize(
+    "folder, extras",
+    [
+        ("pipeline", ["masks"]),
+        ("stages", []),
+        ("benchmarks", []),
+        ("examples", []),
+        ("tests", ["dev"]),
+    ],
+)
+def test_every_import_is_a_declared_dependency(folder, extras):
+    names = {canonicalize_name(r.name) for r in declared(*extras)}
+    makers = packages_distributions()
+    undeclared = {
+        module
+        for module in third_party_imports(folder)
+        if not names & {canonicalize_name(name) for name in makers.get(module, [module])}
+    }
+    assert undeclared == set()
+
+
+def test_the_doctor_asks_for_every_dependency():
+    assert sorted(STACK, key=str.lower) == sorted((r.name for r in declared()), key=str.lower)
+
+
+def test_the_lock_pins_what_is_declared():
+    wrong = [
+        str(requirement)
+        for requirement in declared("dev")
+        if not requirement.specifier.contains(PINS.get(canonicalize_name(requirement.name), "0"))
+    ]
+    assert wrong == []
+
+
+def requirements(text: str) -> list[str]:
+    """A lock's requirements, each with its hashes."""
+    lines = "".join(line for line in text.splitlines(True) if not line.startswith("#"))
+    return re.split(r"\n(?=\S)", lines.strip())
+
+
+def test_every_requirement_of_the_lock_has_a_hash():
+    for requirement in requirements(LOCK):
+        first, *hashes = requirement.replace("\\\n", "\n").split("\n")
+        assert re.fullmatch(r"\S+==\S+ ", first), first
+        assert hashes and all(re.fullmatch(r" +--hash=sha256:[0-9a-f]{64} ?", h) for h in hashes)
+    assert "://" not in LOCK and "index-url" not in LOCK
+
+
+FAKE_PYTHON = """#!/bin/sh
+case "$*" in
+    *"-m venv"*)
+        mkdir -p .venv/bin
+        cp "$0" .venv/bin/python
+        printf '#!/bin/sh\\necho examined\\n' >.venv/bin/heliograph
+        chmod +x .venv/bin/heliograph ;;
+    *"-m pip"*)
+        echo "$*" >>calls
+        [ ! -f no_network ] || { echo "pip: no network" >&2; exit 1; }
+        for last in "$@"; do :; done
+        [ ! -f "$last" ] || { cat "$last"; echo "# end of a call"; } >>installed ;;
+esac
+"""
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A folder with setup.sh and what it reads, and a function that runs it with a python whose pip
+    only writes down what it was asked for.
+    """
+    for name in ("setup.sh", "requirements.lock", "pyproject.toml"):
+        shutil.copy(ROOT / name, tmp_path)
+    for name, text in (("python", FAKE_PYTHON), ("df", "#!/bin/sh\necho\necho d 9 9 99999 9 /\n")):
+        (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(0o755)
+
+    def run(**environment: str) -> subprocess.CompletedProcess:
+        return subprocess.run(
+            ["sh", str(tmp_path / "setup.sh")],
+            env=os.environ
+            | {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHON": f"{tmp_path}/python"}
+            | environment,
+            capture_output=True,
+            text=True,
+        )
+
+    return tmp_path, run
+
+
+def test_setup_installs_the_whole_lock_in_pieces(checkout):
+    folder, run = checkout
+    done = run()
+    assert done.returncode == 0 and done.stdout.endswith("examined\n"), done.stderr
+    pieces = [requirements(p) for p in (folder / "installed").read_text().split("# end of a call")]
+    assert [r.split("==")[0] for r in pieces[0]] == ["setuptools", "wheel-axle-runtime"]
+    assert max(map(len, pieces)) <= 12
+    assert sorted(r for p in pieces for r in p if r) == sorted(requirements(LOCK))
+    *lock_calls, project_call = (folder / "calls").read_text().splitlines()
+    assert all("--require-hashes" in call and "--no-deps" in call for call in lock_calls)
+    assert "--editable ." in project_call and "--no-deps" in project_call
+
+
+def test_setup_does_only_what_is_left(checkout):
+    folder, run = checkout
+    run()
+    (folder / "calls").unlink()
+    assert run().stdout == "" and not (folder / "calls").exists()
+    with open(folder / "pyproject.toml", "a") as file:
+        file.write("# changed\n")
+    assert run().returncode == 0
+    assert "--editable ." in (folder / "calls").read_text().splitlines()[0]
+
+
+def test_setup_says_plainly_what_is_wrong(checkout):
+    folder, run = checkout
+    absent = run(PYTHON="no-such-python")
+    assert absent.returncode == 1 and "there is no 'no-such-python'" in absent.stderr
+    (folder / "df").write_text("#!/bin/sh\necho\necho d 9 9 100 9 /\n")
+    full = run()
+    assert full.returncode == 1 and "100 MiB are free" in full.stderr
+    (folder / "df").write_text("#!/bin/sh\necho\necho d 9 9 99999 9 /\n")
+    (folder / "no_network").touch()
+    failed = run()
+    assert failed.returncode == 1 and "Run setup.sh again" in failed.stderr
+    (folder / "no_network").unlink()
+    assert run().returncode == 0
