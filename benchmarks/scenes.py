@@ -30,7 +30,9 @@ def snakemake(folder: Path, targets: list[str], settings: list[str]) -> None:
     config = ROOT / "configs" / f"{checked_name(folder.name)}.yaml"
     made = not config.exists()
     if made:
-        config.write_text(f"photos: {json.dumps(str(folder.resolve()), ensure_ascii=False)}\n", encoding="utf-8")
+        config.write_text(
+            f"photos: {json.dumps(str(folder.resolve()), ensure_ascii=False)}\n", encoding="utf-8"
+        )
     try:
         command = [
             sys.executable,
