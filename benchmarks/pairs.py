@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 
 from benchmarks.scenes import snakemake
+from pipeline.base.errors import run_stage
 
 PAIRS = {
     "boombox": "vestibule",
@@ -78,4 +79,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_stage(main)

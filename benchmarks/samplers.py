@@ -31,6 +31,7 @@ import numpy as np
 from scipy import stats
 
 from pipeline.base.config import parse_scene
+from pipeline.base.errors import run_stage
 from pipeline.base.files import write_json
 from pipeline.base.images import read_exr
 from pipeline.base.runtime import set_threads
@@ -45,6 +46,7 @@ from pipeline.render.metrics import held_out_photos, light_psnr, psnr, render_tw
 from pipeline.render.observe import Tracer
 from pipeline.render.renderer import Explanation
 from pipeline.run.stage import overrides
+from pipeline.run.workflow import checked_name
 
 RELIT, RELIT_SPP = 200, 512  # pixels per held-out view, and paths for each
 AT_ONCE = 64  # of those paths in one pass
@@ -250,7 +252,10 @@ def main() -> None:
     rows = []
     for name, folder in args.scene:
         scene = parse_scene({"photos": folder} | overrides(args.set), name)
-        folders = {s: args.work / name / s for s in ("observe", "poses", "atlas", "mesh", "fit")}
+        folders = {
+            s: args.work / checked_name(name) / s
+            for s in ("observe", "poses", "atlas", "mesh", "fit")
+        }
         for method in args.methods:
             rows.append({"scene": name} | judge(method, scene, folders, Path(folder), args.samples))
             print(json.dumps(rows[-1]), flush=True)
@@ -261,4 +266,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_stage(main)

@@ -16,19 +16,23 @@ import subprocess
 import sys
 from pathlib import Path
 
+from pipeline.base.errors import run_stage
 from pipeline.base.files import read_json, write_json
+from pipeline.run.workflow import checked_name
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
 def snakemake(folder: Path, targets: list[str], settings: list[str]) -> None:
     """Make `targets` of the scene in `folder`, under a configuration of its own if there is none of
-    its name.
+    its name. Raises InputError when the folder's name cannot be a scene's.
     """
-    config = ROOT / "configs" / f"{folder.name}.yaml"
+    config = ROOT / "configs" / f"{checked_name(folder.name)}.yaml"
     made = not config.exists()
     if made:
-        config.write_text(f"photos: {json.dumps(str(folder.resolve()))}\n", encoding="utf-8")
+        config.write_text(
+            f"photos: {json.dumps(str(folder.resolve()), ensure_ascii=False)}\n", encoding="utf-8"
+        )
     try:
         command = [
             sys.executable,
@@ -125,4 +129,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_stage(main)

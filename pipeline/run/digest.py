@@ -27,33 +27,39 @@ def _module_file(name: str, root: Path) -> Path | None:
     return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.exists()), None)
 
 
-@cache
-def imported_files(file: Path, root: Path) -> set[Path]:
-    """Project files that a project file imports, at any depth of its syntax tree.
+def imported_names(tree: ast.Module) -> set[str]:
+    """Modules, and names in modules, that a project file imports from the project, at any depth.
 
     Imports are absolute (tests/test_layers.py holds them to that). The __init__ of the packages on
     the way holds a docstring only and is counted where a name is imported from it.
     """
     names = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
 
-    ours = {name for name in names if name.split(".")[0] in ("pipeline", "stages")}
-    return {found for name in ours if (found := _module_file(name, root))}
+    return {name for name in names if name.split(".")[0] in ("pipeline", "stages")}
 
 
-def meaning(file: Path) -> str:
-    """What a Python file does, as text: its syntax tree without comments, layout and docstrings."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
+def meaning(tree: ast.Module) -> str:
+    """What a Python file does, as text: its syntax tree without comments and layout, which are not
+    in it, and without docstrings, which are taken out of `tree`.
+    """
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     for node in ast.walk(tree):
         if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
             del node.body[0]
 
     return ast.dump(tree)
+
+
+@cache
+def _read(file: Path) -> tuple[set[str], bytes]:
+    """Imported names of a Python file, and its meaning."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return imported_names(tree), meaning(tree).encode()
 
 
 def counted_files(stage: str, root: Path = ROOT) -> list[Path]:
@@ -65,7 +71,7 @@ def counted_files(stage: str, root: Path = ROOT) -> list[Path]:
         file = todo.pop()
         if file not in modules and file.relative_to(root).as_posix() not in NOT_COUNTED:
             modules.add(file)
-            todo += imported_files(file, root)
+            todo += [m for name in _read(file)[0] if (m := _module_file(name, root))]
 
     data = {
         beside
@@ -83,7 +89,7 @@ def code_digest(stage: str, root: Path = ROOT) -> str:
     """
     digest = hashlib.sha256()
     for file in counted_files(stage, root):
-        content = meaning(file).encode() if file.suffix == ".py" else file.read_bytes()
+        content = _read(file)[1] if file.suffix == ".py" else file.read_bytes()
         digest.update(f"{file.relative_to(root).as_posix()}\0{len(content)}\0".encode())
         digest.update(content)
     return digest.hexdigest()[:16]

@@ -26,15 +26,15 @@ def checked_name(name: str) -> str:
 
     Raises InputError for names that cannot be files (`/`, control characters, too long), that a
     command would take for an option (a leading `-`), that mean other folders or hidden files (a
-    leading `.`), or that Snakemake takes for a wildcard (braces). Anything else may stand in a
-    name, quotes, spaces and `$` too.
+    leading `.`), that Snakemake takes for a wildcard (braces), or that USD takes for a separator of
+    folders (a backslash). Anything else may stand in a name, quotes, spaces and `$` too.
     """
-    wrong = [character for character in name if character in "/{}" or not character.isprintable()]
+    wrong = [c for c in name if c in "/\\{}" or not c.isprintable()]
     if not name or name[0] in ".-" or wrong or len(name.encode()) > LONGEST_NAME:
         raise InputError(
             f"'{name}' cannot be the name of a scene",
             CONFIGS,
-            f"call it by at most {LONGEST_NAME} characters without / {{ }} and without . or - in "
+            f"call it by at most {LONGEST_NAME} bytes without / \\ {{ }} and without . or - in "
             "front",
         )
     return name

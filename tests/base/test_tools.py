@@ -1,4 +1,4 @@
-"""Small shared tools: whole files, progress, metrics, code digests, doctor."""
+"""Small shared tools: whole files, progress, metrics, doctor."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from pipeline.base.files import atomic_path, read_json, stage_folder, write_json
 from pipeline.base.progress import progress
 from pipeline.base.runtime import set_threads
 from pipeline.render.metrics import light_psnr, psnr
-from pipeline.run.workflow import code_digest, only_one_run
 
 
 def test_a_failing_write_leaves_the_old_file(tmp_path):
@@ -81,32 +80,6 @@ def test_psnr_of_two_noisy_renders_is_that_of_the_picture_without_noise():
 def test_light_psnr_ignores_one_scale():
     env = np.random.default_rng(0).uniform(0.1, 2, (8, 16, 3))
     assert light_psnr(env, 3 * env) > 80 > light_psnr(env, env[::-1])
-
-
-def test_digest_follows_imports_and_only_them(monkeypatch):
-    from pipeline.run import workflow
-
-    before = {s: code_digest(s) for s in ("masks", "atlas", "sample")}
-    original = type(workflow.ROOT).read_bytes
-    monkeypatch.setattr(
-        type(workflow.ROOT),
-        "read_bytes",
-        lambda self: b"changed" if self.name == "as_published.py" else original(self),
-    )
-    after = {s: code_digest(s) for s in before}
-    assert (
-        before["sample"] != after["sample"]
-        and before["masks"] == after["masks"]
-        and before["atlas"] == after["atlas"]
-    )
-
-
-def test_only_one_run_at_a_time(tmp_path):
-    first = only_one_run(tmp_path / ".running")
-    with pytest.raises(InputError, match="another run"):
-        only_one_run(tmp_path / ".running")
-    first.close()
-    only_one_run(tmp_path / ".running").close()
 
 
 def test_nearest_name():

@@ -1,7 +1,13 @@
-"""The whole DAG on a toy scene (given cameras, masks and mesh), and what re-running it does."""
+"""The whole DAG on a toy scene (given cameras, masks and mesh) under two names at once, and what
+re-running it does.
+
+The tests share one project and follow each other: each leaves it as it found it, up to
+`test_a_failed_stage_is_due_again`, from where on the scene ODD is not up to date.
+"""
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,49 +32,66 @@ ROOT = Path(__file__).resolve().parents[2]
 TINY = """
 photos: "{photos}"
 preset: draft
-samples: 2
+samples: {samples}
 atlas: {{resolution: 64, padding: 1}}
 observe: {{pixels: 3000}}
 render: {{max_depth: 3}}
 fit: {{steps: 20, learning_rate: 0.05, pixels: 400, spp: 2, texture: 16}}
-sample: {{steps: 12, learning_rate: 0.05, pixels: 300, spp: 2, texture: 16}}
+sample: {{prior: prior.safetensors, search_prior: search.safetensors, light: 16, texture: 16}}
 refine: {{steps: 4, pixels: 300, spp: 2, texture: 48}}
 report: {{relight_size: 48, spp: 4}}
 """
 
 
-def snakemake(folder: Path, *arguments: str, **options) -> subprocess.CompletedProcess:
+ODD = "it's $(touch hacked) b"
+CHAIN = {"capture", "poses", "masks", "mesh", "atlas", "observe", "fit", "sample", "refine"}
+DRAWS = {"sample", "refine", "export", "report"}
+
+
+def command(folder: Path, *arguments: str, code: Path = ROOT) -> list[str]:
+    """Snakemake in the project `folder` with the Snakefile of `code`."""
+    return [
+        *(sys.executable, "-m", "snakemake", "-s", str(code / "Snakefile")),
+        *("--profile", str(code / "profiles/default"), "--directory", str(folder)),
+        *("--cores", "2", *arguments),
+    ]
+
+
+def surroundings(folder: Path, code: Path = ROOT) -> dict:
+    """So that the modules of `code` are imported and no others."""
+    return {"cwd": folder, "env": os.environ | {"PYTHONPATH": str(code)}}
+
+
+def snakemake(folder: Path, *arguments: str, code: Path = ROOT) -> subprocess.CompletedProcess:
+    """Run it to its end."""
     return subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "snakemake",
-            "-s",
-            str(ROOT / "Snakefile"),
-            "--profile",
-            str(ROOT / "profiles/default"),
-            "--directory",
-            str(folder),
-            "--cores",
-            "2",
-            *arguments,
-        ],
+        command(folder, *arguments, code=code),
         capture_output=True,
         text=True,
-        **options,
+        check=False,
+        **surroundings(folder, code),
     )
+
+
+def exported(scene: str) -> list[str]:
+    return [f"exports/{scene}.usda", f"exports/{scene}_report.html"]
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory, ball) -> Path:
-    """A project folder with configs/toy.yaml and a rendered scene in a folder with spaces and
-    umlauts.
+    """A project folder with two configurations of a rendered scene, whose folder has spaces and
+    umlauts, and weights of its own.
     """
     folder = tmp_path_factory.mktemp("project")
     scene = folder / "Fotos für den Test"
     (scene / "images").mkdir(parents=True)
+    (scene / "masks").mkdir()
     (folder / "configs").mkdir()
-    (folder / "configs" / "toy.yaml").write_text(TINY.format(photos=scene.name), encoding="utf-8")
+    for name, samples in (("toy", 2), (ODD, 1)):
+        text = TINY.format(photos=scene.name, samples=samples)
+        (folder / "configs" / f"{name}.yaml").write_text(text, encoding="utf-8")
+    shutil.copy(ROOT / "weights" / "prior_tiny.safetensors", folder / "prior.safetensors")
+    shutil.copy(ROOT / "weights" / "gaussian_tiny.safetensors", folder / "search.safetensors")
     light = outdoor(np.random.default_rng(4), 32, 64).astype(np.float32)
     color = np.full((16, 16, 3), 0.5, np.float32)
     color[:8] = [0.6, 0.2, 0.1]
@@ -87,6 +110,7 @@ def project(tmp_path_factory, ball) -> Path:
         Image.fromarray(np.dstack([to_srgb8(picture), alpha])).save(
             scene / "images" / f"Bild {k}.png"
         )
+        Image.fromarray(alpha).save(scene / "masks" / f"Bild {k}.png")
         matrix = np.linalg.inv(Y_FROM_Z_UP) @ np.linalg.inv(pose) @ np.diag([1.0, -1, -1, 1])
         frames.append({"file_path": f"images/Bild {k}.png", "transform_matrix": matrix.tolist()})
     (scene / "transforms.json").write_text(
@@ -99,9 +123,9 @@ def project(tmp_path_factory, ball) -> Path:
     return folder
 
 
-def jobs(folder: Path, *arguments: str) -> set[str]:
+def jobs(folder: Path, *arguments: str, code: Path = ROOT) -> set[str]:
     """Rules that a dry run would execute."""
-    plan = snakemake(folder, "-n", *arguments)
+    plan = snakemake(folder, "-n", *arguments, code=code)
     assert plan.returncode == 0, plan.stderr
     return {
         line.split()[-1].rstrip(":")
@@ -110,28 +134,107 @@ def jobs(folder: Path, *arguments: str) -> set[str]:
     }
 
 
-def test_whole_chain(project):
+def files_in(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in folder.iterdir()}
+
+
+def test_whole_chain_of_two_scenes_at_once(project, tmp_path):
     start = time.time()
-    done = snakemake(project, "exports/toy.usda", "exports/toy_report.html")
-    assert done.returncode == 0, done.stderr[-3000:] + done.stdout[-3000:]
-    print(f"toy scene through the DAG: {time.time() - start:.0f} s")
-    assert check(project / "exports" / "toy.usda") == []
-    report = (project / "exports" / "toy_report.html").read_text(encoding="utf-8")
-    assert report.count("data:image/") > 15 and "http://" not in report and "https://" not in report
-    refined = json.loads((project / "work/toy/refine/1/refine.json").read_text())
-    assert refined["held_out_psnr"] > 15
-    assert not [p for p in project.rglob(".partial-*")]
+    logs = {scene: tmp_path / f"{k}.log" for k, scene in enumerate(("toy", ODD))}
+    running = [
+        subprocess.Popen(
+            command(project, *exported(scene)),
+            stdout=log.open("w"),
+            stderr=subprocess.STDOUT,
+            **surroundings(project),
+        )
+        for scene, log in logs.items()
+    ]
+    for process, log in zip(running, logs.values(), strict=True):
+        assert process.wait(timeout=300) == 0, log.read_text()[-3000:]
+    print(f"two toy scenes through the DAG: {time.time() - start:.0f} s")
+
+    for scene in logs:
+        assert check(project / "exports" / f"{scene}.usda") == []
+        report = (project / "exports" / f"{scene}_report.html").read_text(encoding="utf-8")
+        assert report.count("data:image/") > 12
+        assert "http://" not in report and "https://" not in report
+        refined = json.loads((project / f"work/{scene}/refine/0/refine.json").read_text())
+        assert refined["held_out_psnr"] > 15
+    assert not list(project.rglob(".partial-*"))
+    assert not list(project.rglob("hacked")) and not (ROOT / "hacked").exists()
+
+
+def test_two_scenes_of_one_content_have_one_result(project):
+    """Nothing of one run went into the other."""
+    work = project / "work"
+    for file in ("observe/observations.npz", "sample/0/light.exr", "refine/0/base_color.exr"):
+        assert (work / "toy" / file).exists()
+    assert (work / "toy/atlas/mesh_uv.ply").read_bytes() == (
+        work / ODD / "atlas/mesh_uv.ply"
+    ).read_bytes()
+    assert (work / "toy/observe/observations.npz").read_bytes() == (
+        work / ODD / "observe/observations.npz"
+    ).read_bytes()
 
 
 def test_nothing_to_do_when_nothing_changed(project):
-    assert jobs(project, "exports/toy.usda", "exports/toy_report.html") == set()
+    """For all scenes: the first rule, `all`."""
+    assert jobs(project) == set()
+
+
+@pytest.fixture(scope="module")
+def code(tmp_path_factory) -> Path:
+    """A copy of the code, to edit."""
+    folder = tmp_path_factory.mktemp("code")
+    for name in ("pipeline", "stages", "profiles", "configs"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "Snakefile", folder / "Snakefile")
+    return folder
+
+
+def test_an_edited_comment_plans_no_job_and_edited_code_does(project, code):
+    file = code / "pipeline/base/images.py"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(f"# A comment.\n{text.replace(chr(34) * 3, chr(34) * 3 + 'Or: ', 1)}\n\n\n")
+    assert jobs(project, *exported("toy"), code=code) == set()
+
+    file.write_text(f"{text}\n\nEXTRA = 1\n")
+    assert jobs(project, *exported("toy"), code=code) == CHAIN | {"export", "report"}
+
+    file.write_text(text)
+    page = code / "pipeline/report/make.py"
+    page.write_text(f"{page.read_text(encoding='utf-8')}\n\nEXTRA = 1\n")
+    assert jobs(project, *exported("toy"), code=code) == {"report"}
+
+
+@pytest.mark.parametrize("name", ["prior.safetensors", "search.safetensors"])
+def test_replaced_weights_rerun_samples_and_what_follows(project, name):
+    before = (project / name).read_bytes()
+    other = "gaussian_small" if name == "search.safetensors" else "prior_small"
+    shutil.copyfile(ROOT / "weights" / f"{other}.safetensors", project / name)
+    assert jobs(project, *exported("toy")) == DRAWS
+    (project / name).write_bytes(before)
+
+
+def test_a_replaced_mask_reruns_from_the_capture_on(project):
+    mask = next(project.glob("Fotos*/masks/Bild 4.png"))
+    before = mask.read_bytes()
+    pixels = np.array(Image.open(mask))
+    pixels[20:24, 20:24] = 0
+    Image.fromarray(pixels).save(mask)
+    assert jobs(project, *exported("toy")) == CHAIN | {"export", "report"}
+    mask.write_bytes(before)
+
+
+def test_the_same_files_written_again_are_no_reason(project):
+    """As the two tests before have left them."""
+    assert jobs(project) == set()
 
 
 def test_one_option_reruns_only_what_depends_on_it(project):
-    assert jobs(project, "exports/toy.usda", "--config", "refine={steps: 5}") == {
-        "refine",
-        "export",
-    }
+    refine = jobs(project, "exports/toy.usda", "--config", "refine={steps: 5}")
+    assert refine == {"refine", "export"}
     assert "sample" in jobs(project, "exports/toy.usda", "--config", "fit={steps: 7}")
     assert "mesh" not in jobs(project, "exports/toy.usda", "--config", "observe={pixels: 2000}")
 
@@ -149,32 +252,23 @@ def test_more_samples_only_add_jobs(project):
 
 def test_sample_alone_equals_sample_among_others(project, tmp_path):
     work = project / "work" / "toy"
+    folders = [
+        word
+        for s in ("observe", "poses", "atlas", "mesh", "fit")
+        for word in (f"--{s}", str(work / s))
+    ]
     done = subprocess.run(
         [
-            sys.executable,
-            "-m",
-            "stages.sample",
-            "--config",
-            "configs/toy.yaml",
-            "--threads",
-            "1",
-            "--index",
-            "1",
-            "--observe",
-            str(work / "observe"),
-            "--poses",
-            str(work / "poses"),
-            "--atlas",
-            str(work / "atlas"),
-            "--fit",
-            str(work / "fit"),
-            "--out",
-            str(tmp_path / "alone"),
+            *(sys.executable, "-m", "stages.sample", "--config", "configs/toy.yaml"),
+            *("--threads", "1", "--index", "1", "--out", str(tmp_path / "alone"), *folders),
         ],
         cwd=project,
         capture_output=True,
         text=True,
-        env={k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")},
+        check=False,
+        env={
+            k: v for k, v in surroundings(project)["env"].items() if not k.endswith("_NUM_THREADS")
+        },
     )  # by hand, as in a user's shell
     assert done.returncode == 0, done.stderr
     for name in ("light", "base_color", "roughness", "metallic"):
@@ -183,41 +277,59 @@ def test_sample_alone_equals_sample_among_others(project, tmp_path):
         ).read_bytes()
 
 
+def test_a_failed_stage_is_due_again(project):
+    """Its old result and all made from it stay in place, but do not pass for up to date."""
+    work, more = project / "work" / ODD, ("--config", "fit={steps: 9}")
+    before = files_in(work / "fit"), (project / f"exports/{ODD}.usda").read_bytes()
+    obstacle = work / ".partial-fit"
+    obstacle.write_text("a file where the stage needs a folder")
+    failed = snakemake(project, f"exports/{ODD}.usda", *more)
+    assert failed.returncode != 0 and "Error in rule fit" in failed.stdout + failed.stderr
+    assert (files_in(work / "fit"), (project / f"exports/{ODD}.usda").read_bytes()) == before
+
+    obstacle.unlink()
+    assert jobs(project, f"exports/{ODD}.usda", *more) == {"fit", "sample", "refine", "export"}
+
+
 def test_a_killed_run_continues(project):
-    """kill -9 of the whole process group in the middle of the fit; the next run finishes the
-    work.
+    """kill -9 of the whole process group in the middle of the fit, with the old result still in
+    place; the next run finishes the work. Meanwhile the scene was refused to a second run.
     """
-    command = [
-        sys.executable,
-        "-m",
-        "snakemake",
-        "-s",
-        str(ROOT / "Snakefile"),
-        "--profile",
-        str(ROOT / "profiles/default"),
-        "--directory",
-        str(project),
-        "--cores",
-        "2",
-        "exports/toy.usda",
-        "--config",
-        "fit={steps: 2000}",
-    ]
+    work, target = project / "work" / ODD, f"exports/{ODD}.usda"
+    before = files_in(work / "fit")
     running = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        command(project, target, "--config", "fit={steps: 20000}"),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        **surroundings(project),
     )
     deadline = time.time() + 120
-    while not (project / "work/toy/.partial-fit").exists() and time.time() < deadline:
+    while not (work / ".partial-fit").exists() and time.time() < deadline:
         time.sleep(0.2)
-    assert (project / "work/toy/.partial-fit").exists()
+    assert (work / ".partial-fit").exists()
+
+    refused = snakemake(project, target)
+    words = refused.stdout + refused.stderr
+    assert refused.returncode != 0 and "another run is at work on this scene" in words
+    assert "Traceback" not in words
+
     os.killpg(running.pid, signal.SIGKILL)
     running.wait()
-    done = snakemake(project, "exports/toy.usda", "--config", "fit={steps: 8}")
+    assert files_in(work / "fit") == before
+    done = snakemake(project, target, "--config", "fit={steps: 8}")
     assert done.returncode == 0, done.stderr[-3000:]
-    assert (
-        check(project / "exports" / "toy.usda") == []
-        and not (project / "work/toy/.partial-fit").exists()
-    )
+    assert check(project / target) == [] and not (work / ".partial-fit").exists()
+    assert files_in(work / "fit") != before
+    assert jobs(project, target, "--config", "fit={steps: 8}") == set()
+
+
+@pytest.mark.parametrize("name", ["-rf", ".hidden", "a{b}", "back\\slash"])
+def test_names_that_cannot_be_are_refused(project, name):
+    done = snakemake(project, "-n", "--", f"exports/{name}.usda")
+    words = done.stdout + done.stderr
+    assert done.returncode != 0 and "cannot be the name of a scene" in words
+    assert "Traceback" not in words
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ from pipeline.base.config import Capture
 from pipeline.base.errors import InputError
 from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write_exr
 from pipeline.photos.capture import capture, find_photos
+from pipeline.photos.given_cameras import read_transforms
 
 PHOTO = (np.random.default_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
 
@@ -203,3 +205,79 @@ def test_focal_guess_and_its_source():
         "focal_px"
     ] == pytest.approx(1000)
     assert "assumed" in focal_guess({"width": 100, "height": 200})["focal_source"]
+
+
+# --- names in transforms.json -----------------------------------------------------------------
+
+
+def name_photos(scene, paths) -> None:
+    """A transforms.json whose frames name `paths`."""
+    frames = [{"file_path": str(p), "transform_matrix": np.eye(4).tolist()} for p in paths]
+    (scene / "transforms.json").write_text(json.dumps({"camera_angle_x": 1.0, "frames": frames}))
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "../secret.png",
+        "images/../../secret.png",
+        "./images/./../../secret",
+        "{outside}/secret.png",
+        "/etc/passwd",
+        "..",
+        ".",
+        "",
+    ],
+)
+def test_names_that_leave_the_scene_are_refused(scene, tmp_path, path):
+    Image.fromarray(PHOTO).save(tmp_path / "secret.png")
+    path = path.format(outside=tmp_path)
+    name_photos(scene, [path, *(scene / "images").iterdir()])
+    with pytest.raises(InputError, match="transforms.json.*outside the scene's folder"):
+        run(scene, tmp_path)
+    with pytest.raises(InputError, match="transforms.json.*outside the scene's folder"):
+        read_transforms(scene / "transforms.json", scene, {})
+
+
+def test_a_folder_whose_name_begins_like_the_scenes_is_outside(scene, tmp_path):
+    other = tmp_path / f"{scene.name} other"
+    other.mkdir()
+    Image.fromarray(PHOTO).save(other / "a.png")
+    name_photos(scene, [f"../{other.name}/a.png"] * 3)
+    with pytest.raises(InputError, match="outside the scene's folder"):
+        find_photos(scene)
+
+
+def test_ways_around_within_the_scene_and_absolute_names_work(scene, monkeypatch):
+    own = [f"bild {k} ä.png" for k in range(4)]
+    names = [
+        f"images/../images/{own[0]}",
+        scene / "images" / own[1],
+        f"./images/{own[2]}",
+        f"images/{own[3]}",
+    ]
+    name_photos(scene, names)
+    expected = [(f"bild {k} ä", scene / "images" / own[k], "fit") for k in range(4)]
+    assert find_photos(scene) == expected
+
+    monkeypatch.chdir(scene.parent)  # the configuration may name the scene by a relative path
+    assert [name for name, _, _ in find_photos(Path(scene.name))] == [n for n, _, _ in expected]
+
+
+@pytest.mark.parametrize("linked", ["images", "scene"])
+def test_symbolic_links_of_the_users_own_work(scene, tmp_path, linked):
+    """images/ on another disk, or the scene itself, and cameras that name photos by real paths."""
+    if linked == "images":
+        (scene / "images").rename(tmp_path / "disk")
+        (scene / "images").symlink_to(tmp_path / "disk")
+        photos = [f"images/{p.name}" for p in (scene / "images").iterdir()]
+        link = scene
+    else:
+        link = tmp_path / "link"
+        link.symlink_to(scene)
+        photos = [p.resolve() for p in (scene / "images").iterdir()]
+    assert len(find_photos(link)) == 4
+
+    name_photos(scene, photos)
+    _, metrics, _ = run(link, tmp_path)
+    assert metrics["photos"] == 4 and metrics["unused"] == 0

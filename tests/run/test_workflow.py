@@ -1,0 +1,326 @@
+"""What the Snakefile asks: which code and files a stage depends on, names in commands, locks."""
+
+import ast
+import json
+import os
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+from snakemake.utils import format as snakemake_format
+
+from pipeline.base.config import load_scene
+from pipeline.base.errors import InputError
+from pipeline.prior.locate import prior_files
+from pipeline.run import digest
+from pipeline.run.digest import NOT_COUNTED, ROOT, counted_files, meaning
+from pipeline.run.stage import overrides
+from pipeline.run.workflow import (
+    Scenes,
+    checked_name,
+    flattened,
+    literal,
+    only_one_run,
+    stage_command,
+    unfinished_runs,
+)
+
+STAGES = sorted(p.stem for p in (ROOT / "stages").glob("[!_]*.py"))
+HOSTILE = ["a b", "it's", "x$(touch hacked)", "`touch hacked`", 'q"; touch hacked; "', "a&b|c", "ä"]
+
+
+# --- code -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def code(tmp_path) -> Path:
+    """A copy of the code in which files may be edited."""
+    for folder in ("pipeline", "stages"):
+        shutil.copytree(
+            ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    return tmp_path
+
+
+def digests(code: Path) -> dict[str, str]:
+    """Digests of the code as it is now."""
+    for remembered in (digest.code_digest, digest._read):
+        remembered.cache_clear()
+    return {stage: digest.code_digest(stage, code) for stage in STAGES}
+
+
+def changed(before: dict[str, str], code: Path) -> set[str]:
+    """Stages whose digest is another now."""
+    after = digests(code)
+    return {stage for stage in STAGES if before[stage] != after[stage]}
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def test_the_digest_does_not_depend_on_where_the_code_lies(code):
+    assert digests(code) == digests(ROOT)
+
+
+def test_comments_docstrings_and_layout_change_no_digest(code):
+    before = digests(code)
+    for file in counted_files("sample", code):
+        text = file.read_text(encoding="utf-8")
+        if ast.get_docstring(ast.parse(text)):
+            text = text.replace('"""', '"""Said otherwise. ', 1)
+        file.write_text(f"# a comment\n\n{text}\n\n# another\n", encoding="utf-8")
+    edit(code / "pipeline/base/images.py", "(", "(  # beside\n")
+    assert changed(before, code) == set()
+
+
+def test_docstrings_of_functions_and_classes_do_not_count_but_other_texts_do():
+    source = (
+        'class A:\n    """{0}"""\n\n    def f(self):\n        """{1}"""\n        return "{2}"\n'
+    )
+    read = lambda *texts: meaning(ast.parse(source.format(*texts)))
+    assert read("a", "b", "c") == read("x", "y", "c") != read("x", "y", "z")
+
+
+def test_a_digest_follows_imports_and_only_them(code):
+    before = digests(code)
+    edit(code / "pipeline/masks/plane.py", "\n\n\n", "\n\n\nEXTRA = 1\n\n\n")
+    assert changed(before, code) == {"masks"}
+
+    before = digests(code)
+    edit(code / "pipeline/base/images.py", "\n\n\n", "\n\n\nEXTRA = 1\n\n\n")
+    assert {"capture", "poses", "masks", "mesh", "fit", "sample"} <= changed(before, code)
+
+
+def test_moved_code_changes_the_digest(code):
+    """The same text under another name is other code: what imports it has changed."""
+    before = digests(code)
+    (code / "pipeline/masks/plane.py").rename(code / "pipeline/masks/ground.py")
+    edit(code / "pipeline/masks/make.py", "pipeline.masks.plane", "pipeline.masks.ground")
+    assert changed(before, code) == {"masks"}
+
+
+def test_files_left_out_are_known_by_their_path_not_by_their_name(code):
+    before = digests(code)
+    for name in NOT_COUNTED:
+        edit(code / name, "\n\n\n", "\n\n\nEXTRA = 1\n\n\n")
+    assert changed(before, code) == set()
+
+    (code / "pipeline/masks/config.py").write_text("LIMIT = 1\n")
+    edit(
+        code / "pipeline/masks/plane.py",
+        "\n\n\n",
+        "\n\n\nfrom pipeline.masks.config import LIMIT\n\n\n",
+    )
+    before = digests(code)
+    (code / "pipeline/masks/config.py").write_text("LIMIT = 2\n")
+    assert changed(before, code) == {"masks"}
+
+
+def test_templates_beside_a_counted_module_count(code):
+    (code / "pipeline/report/page.html").write_text("<p>one</p>")
+    before = digests(code)
+    (code / "pipeline/report/page.html").write_text("<p>two</p>")
+    assert changed(before, code) == {"report"}
+
+
+# --- inputs -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch) -> Path:
+    """A project folder with configs/s.yaml, three photos, and a mask for one of them."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("configs", "photos/images", "photos/masks"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "configs/s.yaml").write_text("photos: photos\n")
+    for k in range(3):
+        Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(tmp_path / f"photos/images/{k}.png")
+    (tmp_path / "photos/masks/1.png").write_bytes(b"mask")
+    (tmp_path / "photos/masks/Thumbs.db").write_bytes(b"not read")
+    return tmp_path
+
+
+def test_capture_reads_photos_and_the_masks_that_belong_to_them(project):
+    assert Scenes({}).photos("s") == [
+        "photos/images/0.png",
+        "photos/images/1.png",
+        "photos/images/2.png",
+        "photos/masks/1.png",
+    ]
+
+
+def test_which_photos_are_for_scoring_is_part_of_what_capture_depends_on(project):
+    frames = [{"file_path": f"images/{k}.png"} for k in range(3)]
+    write = lambda name, frames: (project / "photos" / name).write_text(
+        json.dumps({"frames": frames})
+    )
+    write("transforms.json", frames)
+    before = Scenes({}).order("s")
+    write("transforms.json", frames[:2])
+    write("transforms_test.json", frames[2:])
+    assert Scenes({}).order("s") != before and '["2", "test"]' in Scenes({}).order("s")
+
+
+def test_sample_reads_every_part_of_both_priors(project):
+    files = Scenes({"sample": {"prior": "prior_base"}}).priors("s")
+    names = [Path(f).name for f in files]
+    assert names == [
+        "prior_base-1-of-2.safetensors",
+        "prior_base-2-of-2.safetensors",
+        "gaussian_small.safetensors",
+    ]
+    assert all(Path(f).exists() for f in files)
+
+
+def test_weights_in_the_project_are_named_from_there(project):
+    """So that a project that was moved is not made again."""
+    shutil.copy(ROOT / "weights/gaussian_tiny.safetensors", project / "own.safetensors")
+    scenes = Scenes({"sample": {"prior": f"{project}/own.safetensors"}})
+    assert scenes.priors("s")[0] == "own.safetensors"
+
+
+def test_a_network_for_masks_is_read_when_it_is_asked_for(project):
+    network = {"onnx_model": "net.onnx"}
+    assert Scenes({"masks": network | {"method": "onnx"}}).network("s") == ["net.onnx"]
+    assert Scenes({"masks": network}).network("s") == []
+
+
+def test_missing_parts_and_other_formats_of_weights_are_refused(tmp_path):
+    for name in ("p-1-of-2.safetensors", "p-a-of-b.safetensors", "pq-2-of-2.safetensors"):
+        (tmp_path / name).write_bytes(b"")
+    with pytest.raises(InputError, match="only 1 of 2 parts"):
+        prior_files(f"{tmp_path}/p.safetensors")
+
+    (tmp_path / "prior.pt").write_bytes(b"")
+    with pytest.raises(InputError, match="safetensors files only"):
+        prior_files(f"{tmp_path}/prior.pt")
+
+
+def test_overrides_arrive_as_they_were_meant(project):
+    given = {
+        "samples": 2,
+        "preset": "draft",
+        "sample": {"label": None, "prior": "it's {here}"},
+        "poses": {"match_exposure": False, "object_size": "0.5"},
+    }
+    scene = load_scene("configs/s.yaml", overrides(flattened(given)))
+    assert scene.samples == 2 and scene.preset == "draft"
+    assert scene.sample.label is None and scene.sample.prior == "it's {here}"
+    assert scene.poses.match_exposure is False and scene.poses.object_size == 0.5
+
+
+# --- names and commands -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_names_of_any_letters_are_names(name):
+    assert checked_name(name) == name
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", ".hidden", "-rf", "a/b", "/a", "a\nb", "a\0b", "{a}", "a\\b", "x" * 101]
+)
+def test_names_that_no_file_can_have_are_refused(name):
+    with pytest.raises(InputError, match="cannot be the name of a scene"):
+        checked_name(name)
+    with pytest.raises(InputError, match="cannot be the name of a scene"):
+        Scenes({})(name)
+
+
+def run_command(folder: Path, name: str, settings: list[str]) -> subprocess.CompletedProcess:
+    """The command of a stage as Snakemake fills it in and runs it."""
+    template = stage_command("fit", "fit", "--out work/{wildcards.scene:q}/fit", settings)
+    wildcards = SimpleNamespace(scene=name)
+    log = f"work/{name}/logs/fit.log"
+    command = snakemake_format(template, wildcards=wildcards, threads=2, log=[log])
+    (folder / log).parent.mkdir(parents=True, exist_ok=True)
+    shell = f"set -euo pipefail; {command}"
+    return subprocess.run(
+        ["bash", "-c", shell], cwd=folder, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.fixture
+def tool(tmp_path, monkeypatch) -> Path:
+    """A program in the place of Python that prints its arguments, one JSON list."""
+    file = tmp_path / "my tools" / "it's python"
+    file.parent.mkdir()
+    file.write_text(
+        "#!/bin/sh\nexec python3 -c 'import json, sys; print(json.dumps(sys.argv[1:]))' \"$@\"\n"
+    )
+    file.chmod(0o755)
+    monkeypatch.setattr("pipeline.run.workflow.sys.executable", str(file))
+    return file
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_names_and_settings_reach_a_stage_as_words(tmp_path, tool, name):
+    settings = ["sample.prior=$(touch hacked) 'x'", "masks={method: given}"]
+    done = run_command(tmp_path, name, settings)
+    assert done.returncode == 0, done.stderr
+    words = json.loads(done.stdout)
+    assert words == [
+        *("-m", "stages.fit", "--config", f"configs/{name}.yaml"),
+        *("--set", settings[0], "--set", settings[1], "--threads", "2"),
+        *("--out", f"work/{name}/fit"),
+    ]
+    assert (tmp_path / "work" / name / "logs" / "fit.log").read_text() == done.stdout
+    assert not list(tmp_path.rglob("hacked"))
+
+
+def test_a_literal_is_one_word():
+    for text in ["{a}", "$HOME", "a'b", "*"]:
+        assert shlex.split(snakemake_format(literal(text))) == [text]
+
+
+def test_runs_that_do_not_end_well_are_counted(tmp_path, tool, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    good = tool.read_text()
+    assert unfinished_runs("a b", "fit") == 0
+
+    tool.write_text("#!/bin/sh\nexit 1\n")
+    assert run_command(tmp_path, "a b", []).returncode == 1
+    assert unfinished_runs("a b", "fit") == 1
+
+    tool.write_text("#!/bin/sh\nkill -9 $PPID\n")
+    assert run_command(tmp_path, "a b", []).returncode != 0
+    assert unfinished_runs("a b", "fit") == 2
+
+    tool.write_text(good)
+    assert run_command(tmp_path, "a b", []).returncode == 0
+    assert unfinished_runs("a b", "fit") == 2  # what the run was planned with: it is not due again
+
+
+# --- locks ------------------------------------------------------------------------------------
+
+
+def test_only_one_run_of_a_scene_at_a_time(tmp_path):
+    first = only_one_run(tmp_path / ".running")
+    with pytest.raises(InputError, match="another run"):
+        only_one_run(tmp_path / ".running")
+    first.close()
+    only_one_run(tmp_path / ".running").close()
+
+
+def test_a_lock_is_of_the_scenes_asked_for(project):
+    shutil.copy("configs/s.yaml", "configs/t.yaml")
+    first, second = Scenes({}, exclusive=True), Scenes({}, exclusive=True)
+    first("s")
+    second("t")
+    with pytest.raises(InputError, match="another run is at work on this scene"):
+        second("s")
+    Scenes({})("s")  # who only looks needs no lock
+
+
+def test_a_mistyped_scene_leaves_nothing_behind(project):
+    with pytest.raises(InputError, match="no such configuration"):
+        Scenes({}, exclusive=True)("nowhere")
+    assert not os.path.exists("work")

@@ -1,0 +1,30 @@
+"""The facts that the mesh stage passes on."""
+
+import pytest
+
+from pipeline.base.config import Scene
+from pipeline.base.errors import InputError
+from pipeline.base.files import write_json
+from pipeline.posterior import load
+from pipeline.surface.facts import SurfaceFacts
+
+
+def test_facts_come_back_as_they_were_saved(tmp_path):
+    SurfaceFacts(normal_error=0.03125).save(tmp_path)
+    assert SurfaceFacts.load(tmp_path) == SurfaceFacts(normal_error=0.03125)
+
+
+def test_missing_facts_are_named(tmp_path):
+    with pytest.raises(InputError, match="surface.json.*missing"):
+        SurfaceFacts.load(tmp_path)
+    write_json(tmp_path / "surface.json", {})
+    with pytest.raises(InputError, match="no entry 'normal_error'"):
+        SurfaceFacts.load(tmp_path)
+
+
+def test_a_problem_takes_the_normals_error_from_the_meshs_folder(tmp_path, ball, monkeypatch):
+    SurfaceFacts(normal_error=0.0625).save(tmp_path)
+    monkeypatch.setattr(load, "Observations", lambda *folders: None)
+    scene = Scene(photos="nowhere")
+    problem = load.load_problem(tmp_path, tmp_path, ball, tmp_path, scene, 16, 16)
+    assert problem.normal_error == 0.0625
