@@ -12,7 +12,7 @@ from pathlib import Path
 from pipeline.base.errors import InputError, nearest
 from pipeline.prior.diffusion import DiffusionPrior
 from pipeline.prior.gaussian import GaussianPrior
-from pipeline.prior.weight_files import load_parts, part_paths
+from pipeline.prior.weight_files import CURE, load_parts, part_paths
 
 PRIORS = {"diffusion": DiffusionPrior.from_tensors, "gaussian": GaussianPrior.from_tensors}
 WEIGHTS = Path(__file__).resolve().parents[2] / "weights"
@@ -25,7 +25,7 @@ def known_priors() -> list[str]:
 
 def find_prior(name: str) -> Path:
     """NAME.safetensors of a name under weights/, or the path itself; the file may be split into
-    parts (`parts`).
+    parts (`weight_files`). Raises InputError where there is no such file.
     """
     path = Path(name) if name.endswith(".safetensors") else WEIGHTS / f"{name}.safetensors"
     if not part_paths(path):
@@ -43,5 +43,5 @@ def load_prior(name: str):
         raise InputError(
             f"not a Heliograph light prior ({type(error).__name__}: {error})",
             path,
-            "give a file written by `python -m pipeline.prior.training.export` or pipeline.prior.training.fit_gaussian",
+            CURE,
         ) from error

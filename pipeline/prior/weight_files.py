@@ -15,10 +15,16 @@ from pipeline.base.errors import InputError
 from pipeline.base.files import atomic_path
 
 PART = 15 * 2**20
+CURE = (
+    "give a file written by `python -m pipeline.prior.training.export` or "
+    "pipeline.prior.training.fit_gaussian"
+)
 
 
 def _groups(tensors: dict[str, torch.Tensor], limit: int) -> list[dict[str, torch.Tensor]]:
-    groups, size = [{}], 0
+    """Tensors in their order, in groups of at most `limit` bytes or of one tensor."""
+    groups = [{}]
+    size = 0
     for name, value in tensors.items():
         bytes_ = value.numel() * value.element_size()
         if groups[-1] and size + bytes_ > limit:
@@ -44,6 +50,7 @@ def save_parts(
     for name, group in zip(names, groups):
         with atomic_path(name) as temporary:
             save_file(group, str(temporary), {"heliograph": json.dumps(facts)})
+
     for old in {path, *path.parent.glob(f"{path.stem}-*-of-*.safetensors")} - set(names):
         old.unlink(missing_ok=True)
     return names
@@ -57,21 +64,22 @@ def part_paths(path: Path) -> list[Path]:
     """
     if path.exists():
         return [path]
+
     found = sorted(path.parent.glob(f"{path.stem}-*-of-*.safetensors"))
-    if found and len(found) != int(found[0].stem.rsplit("-", 1)[1]):
+    wanted = int(found[0].stem.rsplit("-", 1)[1]) if found else 0
+    if len(found) != wanted:
         raise InputError(
-            f"only {len(found)} of {found[0].stem.rsplit('-', 1)[1]} parts are there",
-            path,
-            "fetch the missing parts",
+            f"only {len(found)} of {wanted} parts are there", path, "fetch the missing parts"
         )
     return found
 
 
 def load_parts(path: Path) -> tuple[dict[str, torch.Tensor], dict]:
-    """Tensors as float32 and the facts. Raises InputError when the files are not weights of
-    ours.
+    """Tensors as float32, and the facts. Raises InputError when the files were not written by
+    `save_parts`.
     """
-    tensors, facts = {}, {}
+    tensors = {}
+    facts = {}
     try:
         for part in part_paths(path):
             with safe_open(str(part), "pt") as file:
@@ -81,6 +89,6 @@ def load_parts(path: Path) -> tuple[dict[str, torch.Tensor], dict]:
         raise InputError(
             f"not a Heliograph light prior ({type(error).__name__}: {error})",
             path,
-            "give a file written by `python -m pipeline.prior.training.export` or pipeline.prior.training.fit_gaussian",
+            CURE,
         ) from error
     return tensors, facts
