@@ -1,4 +1,4 @@
-"""The trained diffusion prior: weights, value code and label handling in one object."""
+"""The trained diffusion prior: network, value code and classes in one object."""
 
 from __future__ import annotations
 
@@ -13,17 +13,13 @@ from pipeline.prior.value_code import Code
 
 
 class DiffusionPrior:
-    """Denoiser over codes of (height, 2 height) maps; see the package docstring for the
-    protocol.
-    """
+    """Denoiser over codes of (height, 2 height) maps; the protocol is that of `prior.load`."""
 
     def __init__(self, model: Denoiser, code: Code, height: int, shares: dict[str, float]):
-        self.model, self.code, self.height, self.width = (
-            model.eval().requires_grad_(False),
-            code,
-            height,
-            2 * height,
-        )
+        self.model = model.eval().requires_grad_(False)
+        self.code = code
+        self.height = height
+        self.width = 2 * height
         self.shares = shares  # of the classes among the measured maps trained on; {}: not known
 
     @classmethod
@@ -31,9 +27,8 @@ class DiffusionPrior:
         """From what pipeline.prior.training.export wrote."""
         model = Denoiser(**facts["network"])
         model.load_state_dict(tensors)
-        return cls(
-            model, Code(facts["mean"], facts["std"]), facts["height"], facts.get("shares", {})
-        )
+        code = Code(facts["mean"], facts["std"])
+        return cls(model, code, facts["height"], facts.get("shares", {}))
 
     @property
     def log_spread(self) -> float:
@@ -41,6 +36,9 @@ class DiffusionPrior:
         return 2 * self.code.std
 
     def label_index(self, label: str | None) -> int:
+        """The network's number of a class; None: the number that stands for no class. Raises
+        InputError for a class that is not in LABELS.
+        """
         if label is None:
             return len(LABELS)
         if label not in LABELS:
@@ -54,14 +52,13 @@ class DiffusionPrior:
     ) -> torch.Tensor:
         """E[x_0 | x_0 + sigma n = x] for codes (n, 3, h, w), of one class or of one for each."""
         labels = [label] * len(x) if label is None or isinstance(label, str) else label
-        return self.model(
-            x,
-            torch.full((len(x),), float(sigma)),
-            torch.tensor([self.label_index(v) for v in labels]),
-        )
+        numbers = torch.tensor([self.label_index(name) for name in labels])
+        return self.model(x, torch.full((len(x),), float(sigma)), numbers)
 
     def decode(self, x: torch.Tensor) -> torch.Tensor:
+        """Codes (n, 3, h, w) -> scale-free radiance (n, 3, h, w)."""
         return self.code.decode(x)
 
     def encode(self, radiance: np.ndarray) -> torch.Tensor:
+        """Scale-free radiance (h, w, 3) -> codes (1, 3, h, w)."""
         return self.code.encode(radiance)

@@ -12,7 +12,7 @@ from pipeline.prior.diffusion import DiffusionPrior
 from pipeline.prior.gaussian import GaussianPrior
 from pipeline.prior.locate import find_prior
 from pipeline.prior.protocol import Prior
-from pipeline.prior.weight_files import load_parts
+from pipeline.prior.weight_files import CURE, load_parts
 
 PRIORS: dict[str, Callable[[dict, dict], Prior]] = {
     "diffusion": DiffusionPrior.from_tensors,
@@ -30,5 +30,5 @@ def load_prior(name: str) -> Prior:
         raise InputError(
             f"not a Heliograph light prior ({type(error).__name__}: {error})",
             path,
-            "give a file written by `python -m pipeline.prior.training.export` or pipeline.prior.training.fit_gaussian",
+            CURE,
         ) from error

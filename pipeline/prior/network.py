@@ -24,13 +24,12 @@ KINDS = len(LABELS) + 1  # a map that is made, not measured, adds KINDS to its i
 class Conv(nn.Conv2d):
     """3x3 convolution, circular in longitude, replicated in latitude."""
 
-    def __init__(self, a: int, b: int):
-        super().__init__(a, b, 3)
+    def __init__(self, channels_in: int, channels_out: int):
+        super().__init__(channels_in, channels_out, 3)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return super().forward(
-            F.pad(F.pad(x, (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1), mode="replicate")
-        )
+        wrapped = F.pad(x, (1, 1, 0, 0), mode="circular")
+        return super().forward(F.pad(wrapped, (0, 0, 1, 1), mode="replicate"))
 
 
 class Block(nn.Module):
@@ -38,44 +37,46 @@ class Block(nn.Module):
     between.
     """
 
-    def __init__(self, a: int, b: int, embedding: int):
+    def __init__(self, channels_in: int, channels_out: int, embedding: int):
         super().__init__()
-        self.norm1, self.conv1 = nn.GroupNorm(8, a), Conv(a, b)
-        self.affine = nn.Linear(embedding, 2 * b)
-        self.norm2, self.conv2 = nn.GroupNorm(8, b), Conv(b, b)
-        self.skip = nn.Conv2d(a, b, 1) if a != b else nn.Identity()
+        self.norm1 = nn.GroupNorm(8, channels_in)
+        self.conv1 = Conv(channels_in, channels_out)
+        self.affine = nn.Linear(embedding, 2 * channels_out)
+        self.norm2 = nn.GroupNorm(8, channels_out)
+        self.conv2 = Conv(channels_out, channels_out)
+        self.skip: nn.Module = nn.Identity()
+        if channels_in != channels_out:
+            self.skip = nn.Conv2d(channels_in, channels_out, 1)
         nn.init.zeros_(self.conv2.weight)
 
-    def forward(self, x: torch.Tensor, e: torch.Tensor) -> torch.Tensor:
-        h = self.conv1(F.silu(self.norm1(x)))
-        scale, shift = self.affine(e)[:, :, None, None].chunk(2, 1)
-        h = self.conv2(F.silu(self.norm2(h) * (1 + scale) + shift))
-        return self.skip(x) + h
+    def forward(self, x: torch.Tensor, embedded: torch.Tensor) -> torch.Tensor:
+        inner = self.conv1(F.silu(self.norm1(x)))
+        scale, shift = self.affine(embedded)[:, :, None, None].chunk(2, 1)
+        inner = self.conv2(F.silu(self.norm2(inner) * (1 + scale) + shift))
+        return self.skip(x) + inner
 
 
 class Attention(nn.Module):
     """Self-attention over all positions."""
 
-    def __init__(self, c: int, heads: int = 4):
+    def __init__(self, channels: int, heads: int = 4):
         super().__init__()
-        self.heads, self.norm = heads, nn.GroupNorm(8, c)
-        self.qkv, self.out = nn.Conv2d(c, 3 * c, 1), nn.Conv2d(c, c, 1)
+        self.heads = heads
+        self.norm = nn.GroupNorm(8, channels)
+        self.qkv = nn.Conv2d(channels, 3 * channels, 1)
+        self.out = nn.Conv2d(channels, channels, 1)
         nn.init.zeros_(self.out.weight)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         n, c, h, w = x.shape
-        q, k, v = (
-            self.qkv(self.norm(x))
-            .reshape(n, 3, self.heads, c // self.heads, h * w)
-            .transpose(-1, -2)
-            .unbind(1)
-        )
-        y = F.scaled_dot_product_attention(q, k, v).transpose(-1, -2).reshape(n, c, h, w)
-        return x + self.out(y)
+        split = self.qkv(self.norm(x)).reshape(n, 3, self.heads, c // self.heads, h * w)
+        query, key, value = split.transpose(-1, -2).unbind(1)
+        seen = F.scaled_dot_product_attention(query, key, value)
+        return x + self.out(seen.transpose(-1, -2).reshape(n, c, h, w))
 
 
 class UNet(nn.Module):
-    """F(x; c_noise, label) on (n, 3, h, w); `channels` per level, each level half the size of the
+    """F(x; c_noise, label) on (n, 3, h, w); `channels` per scale, each scale half the size of the
     one before.
 
     With sources = 2 the label also says whether a map was measured or made (procedural, or expanded
@@ -96,39 +97,57 @@ class UNet(nn.Module):
         )
         self.label = nn.Embedding(sources * KINDS, embedding)
         self.enter = Conv(4, channels[0])
-        self.down, self.up, c, skips = nn.ModuleList(), nn.ModuleList(), channels[0], []
-        for level, (width, count) in enumerate(zip(channels, blocks)):
+        self.down = nn.ModuleList()
+        self.up = nn.ModuleList()
+
+        now = channels[0]
+        skips = []
+        for scale, (width, count) in enumerate(zip(channels, blocks)):
             for _ in range(count):
-                self.down.append(Block(c, width, embedding))
-                c = width
-                skips.append((level, c))
-        self.middle = nn.ModuleList([Block(c, c, embedding), Attention(c), Block(c, c, embedding)])
-        for level, width in reversed(skips):
-            self.up.append(Block(c + width, width, embedding))
-            c = width
-        self.levels = [level for level, _ in skips]
-        self.leave = nn.Sequential(nn.GroupNorm(8, c), nn.SiLU(), Conv(c, 3))
+                self.down.append(Block(now, width, embedding))
+                now = width
+                skips.append((scale, width))
+
+        self.middle = nn.ModuleList(
+            [Block(now, now, embedding), Attention(now), Block(now, now, embedding)]
+        )
+        for _, width in reversed(skips):
+            self.up.append(Block(now + width, width, embedding))
+            now = width
+        self.scales = [scale for scale, _ in skips]
+        self.leave = nn.Sequential(nn.GroupNorm(8, now), nn.SiLU(), Conv(now, 3))
+
+    def _embedded(self, noise: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
+        """Fourier features of the noise level and the class, (n, embedding)."""
+        half = self.embedding // 2
+        frequency = torch.exp(torch.linspace(0, math.log(1000), half, device=noise.device))
+        phase = noise[:, None] * frequency
+        waves = torch.cat([phase.sin(), phase.cos()], 1)
+        return F.silu(self.embed(waves) + self.label(label))
 
     def forward(self, x: torch.Tensor, noise: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
         n, _, h, w = x.shape
-        frequency = torch.exp(
-            torch.linspace(0, math.log(1000), self.embedding // 2, device=x.device)
-        )
-        phase = noise[:, None] * frequency
-        e = F.silu(self.embed(torch.cat([phase.sin(), phase.cos()], 1)) + self.label(label))
+        embedded = self._embedded(noise, label)
         sine = torch.sin(math.pi * (0.5 - (torch.arange(h, device=x.device) + 0.5) / h))
         x = self.enter(torch.cat([x, sine[None, None, :, None].expand(n, 1, h, w)], 1))
-        kept, at = [], 0
-        for block, level in zip(self.down, self.levels):
-            if level != at:
-                x, at = F.avg_pool2d(x, 2), level
-            x = block(x, e)
+
+        kept = []
+        now = 0
+        for block, scale in zip(self.down, self.scales):
+            if scale != now:
+                x = F.avg_pool2d(x, 2)
+                now = scale
+            x = block(x, embedded)
             kept.append(x)
-        x = self.middle[2](self.middle[1](self.middle[0](x, e)), e)
-        for block, level in zip(self.up, reversed(self.levels)):
-            if level != at:
-                x, at = F.interpolate(x, scale_factor=2, mode="nearest"), level
-            x = block(torch.cat([x, kept.pop()], 1), e)
+
+        first, attention, second = self.middle
+        x = second(attention(first(x, embedded)), embedded)
+
+        for block, scale in zip(self.up, reversed(self.scales)):
+            if scale != now:
+                x = F.interpolate(x, scale_factor=2, mode="nearest")
+                now = scale
+            x = block(torch.cat([x, kept.pop()], 1), embedded)
         return self.leave(x)
 
 
@@ -143,5 +162,8 @@ class Denoiser(nn.Module):
     def forward(self, x: torch.Tensor, sigma: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
         s = sigma.reshape(-1, 1, 1, 1)
         root = (s**2 + SIGMA_DATA**2).sqrt()
-        c_skip, c_out, c_in = SIGMA_DATA**2 / root**2, s * SIGMA_DATA / root, 1 / root
-        return c_skip * x + c_out * self.net(c_in * x, sigma.reshape(-1).log() / 4, label)
+        c_skip = SIGMA_DATA**2 / root**2
+        c_out = s * SIGMA_DATA / root
+        c_in = 1 / root
+        c_noise = sigma.reshape(-1).log() / 4
+        return c_skip * x + c_out * self.net(c_in * x, c_noise, label)

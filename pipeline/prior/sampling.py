@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -15,20 +16,21 @@ import numpy as np
 import torch
 
 from pipeline.base.errors import run_stage
-from pipeline.base.images import to_srgb8, write_png
+from pipeline.base.images import in_rows, to_srgb8, write_png
 from pipeline.base.progress import Bar
 from pipeline.prior.gaussian import GaussianPrior, translated
 from pipeline.prior.load import load_prior
 from pipeline.prior.protocol import DenoisingPrior, Prior
 
-# of the Gaussian start; the largest modes of natural light have twice that deviation and show
-# through
+# noise level that a draw starts from: the largest modes of natural light, of twice that deviation,
+# still show through, and a Gaussian prior gives them
 FIRST_SIGMA = 20.0
-# how far beyond the unlabelled mean; with the next four, chosen on 48 draws of another seed than
-# the judged ones
-GUIDANCE = 2.5
-GUIDED_FROM, GUIDED_TO = 0.2, 6.0  # noise levels
-CHURN, EXCESS = 0.5, 1.02
+# The next five were chosen on 48 draws of another seed than those that benchmarks/prior.py judges.
+GUIDANCE = 2.5  # how far beyond the unlabelled mean
+GUIDED_FROM = 0.2  # noise levels between which there is guidance
+GUIDED_TO = 6.0
+CHURN = 0.5
+EXCESS = 1.02
 
 
 def reverse_diffusion(
@@ -44,16 +46,25 @@ def reverse_diffusion(
     churn: float = 1.0,
     excess: float = 1.0,
 ) -> torch.Tensor:
-    """x | z, z = x + rho n: from noise level rho to none, `steps` network calls; codes (n, 3, h,
-    w).
+    """A draw of x given z = x + rho n: from noise level rho to none; codes (n, 3, h, w).
 
-    SDE-DPM-Solver++(2M) of Lu et al. (2022) in EDM's variance-exploding form, each call of the
-    network under a random roll of the columns (DPI, Eq. 19). churn 0 is the noise-free ODE, 1 the
-    SDE; `excess` multiplies the fresh noise (S_noise of Karras et al. 2022). `done` is called after
-    every step.
+    SDE-DPM-Solver++(2M) of Lu et al. (2022) in EDM's variance-exploding form, `steps` calls of the
+    network, each under a random roll of the columns (DPI, Eq. 19). From noise level t to s, with
+    D(x; t) = prior.denoise and step = log(t / s):
+
+        ahead = D + step / (2 step before) (D - D before)
+        keep = (s / t)^(1 + churn^2)
+        x <- keep x + (1 - keep) ahead + excess s sqrt(1 - (s / t)^(2 churn^2)) n
+
+    churn 0 is the noise-free ODE, 1 the SDE; `excess` multiplies the fresh noise (S_noise of Karras
+    et al. 2022). `end` is the last noise level before 0. `rng` rolls, `noise` gives n. `done` is
+    called after every step.
     """
     levels = np.append(np.geomspace(rho, min(end, 0.3 * rho), steps), 0.0)
-    x, before, h_before = z, None, 0.0
+    x = z
+    clean_before = None
+    step_before = 0.0
+
     for t, s in zip(levels[:-1], levels[1:]):
         columns = int(rng.integers(x.shape[-1]))
         clean = prior.denoise(x.roll(columns, -1), float(t), label).roll(-columns, -1)
@@ -61,11 +72,18 @@ def reverse_diffusion(
             done()
         if s == 0:
             return clean
-        h, keep = np.log(t / s), (s / t) ** (1 + churn**2)
-        ahead = clean if before is None else clean + 0.5 * h / h_before * (clean - before)
+
+        step = np.log(t / s)
+        ahead = clean
+        if clean_before is not None:
+            ahead = clean + 0.5 * step / step_before * (clean - clean_before)
+
+        keep = (s / t) ** (1 + churn**2)
         fresh = excess * s * np.sqrt(1 - (s / t) ** (2 * churn**2))
         x = keep * x + (1 - keep) * ahead + fresh * torch.randn(x.shape, generator=noise)
-        before, h_before = clean, h
+
+        clean_before = clean
+        step_before = step
     return x
 
 
@@ -119,34 +137,25 @@ def draw(
     batch: int = 16,
     start: str = "gaussian_small",
 ) -> torch.Tensor:
-    """`count` codes (count, 3, h, w) of the prior alone, deterministic in `seed` and `count`;
-    without `label` the classes come in the shares they have among the maps trained on, where those
-    had classes. `start`: Gaussian prior of the first noise.
+    """`count` codes (count, 3, h, w) of the prior alone, deterministic in `seed` and `count`.
+    Without `label` the classes come in the shares they have among the maps trained on, where those
+    had classes. `start`: name of the Gaussian prior of the first noise.
     """
-    noise, rng, out = torch.Generator().manual_seed(seed), np.random.default_rng(seed), []
-    gaussian, labels = (
-        cast(GaussianPrior, load_prior(start)),
-        classes(prior.shares, count, rng) if prior.shares and not label else [label] * count,
-    )
+    noise = torch.Generator().manual_seed(seed)
+    rng = np.random.default_rng(seed)
+    gaussian = cast(GaussianPrior, load_prior(start))
+    labels: list[str | None] = [label] * count
+    if prior.shares and not label:
+        labels = [*classes(prior.shares, count, rng)]
     guided = prior if None in labels else Guided(prior)
+
+    out = []
     with torch.no_grad(), Bar("prior samples", steps * -(-count // batch)) as bar:
+        drawn = partial(reverse_diffusion, churn=CHURN, excess=EXCESS, done=bar.step)
         for first in range(0, count, batch):
             part = labels[first : first + batch]
             z = first_noise(prior, gaussian, len(part), noise)
-            out.append(
-                reverse_diffusion(
-                    guided,
-                    z,
-                    FIRST_SIGMA,
-                    steps,
-                    part,
-                    rng,
-                    noise,
-                    done=bar.step,
-                    churn=CHURN,
-                    excess=EXCESS,
-                )
-            )
+            out.append(drawn(guided, z, FIRST_SIGMA, steps, part, rng, noise))
     return torch.cat(out)
 
 
@@ -157,14 +166,9 @@ def lights(prior: Prior, codes: torch.Tensor) -> np.ndarray:
 
 def sheet(maps: np.ndarray, columns: int = 8, width: int = 192) -> np.ndarray:
     """Tone-mapped contact sheet (h, w, 3) uint8 of lights (n, h, w, 3)."""
-    tiles = [
-        cv2.resize(to_srgb8(m * 0.35), (width, width // 2), interpolation=cv2.INTER_NEAREST)
-        for m in maps
-    ]
-    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
-    return np.concatenate(
-        [np.concatenate(tiles[k : k + columns], 1) for k in range(0, len(tiles), columns)]
-    )
+    size = (width, width // 2)
+    tiles = [cv2.resize(to_srgb8(m * 0.35), size, interpolation=cv2.INTER_NEAREST) for m in maps]
+    return in_rows(tiles, columns)
 
 
 def main() -> None:
@@ -180,10 +184,10 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
+
     prior = load_prior(args.prior)
-    write_png(
-        args.out, sheet(lights(prior, draw(prior, args.count, args.steps, args.seed, args.label)))
-    )
+    codes = draw(prior, args.count, args.steps, args.seed, args.label)
+    write_png(args.out, sheet(lights(prior, codes)))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """DDPM's noise schedule with T = 1000 (Ho et al. 2020, linear beta), and its EDM reading (Karras et
 al. 2022).
 
-x_t = sqrt(ab_t) x_0 + sqrt(1 - ab_t) n. Divided by sqrt(ab_t) that is x_0 + sigma_t n with
-sigma_t = sqrt((1 - ab_t) / ab_t), so one denoiser D(x; sigma) serves both.
+x_t = sqrt(ab_t) x_0 + sqrt(1 - ab_t) n, ab_t = ALPHA_BAR[t]. Divided by sqrt(ab_t) that is x_0 +
+sigma_t n with sigma_t = sqrt((1 - ab_t) / ab_t), so one denoiser D(x; sigma) serves both.
 """
 
 from __future__ import annotations
@@ -28,14 +28,15 @@ def subsequence(steps: int) -> np.ndarray:
 
 def posterior(t: int, s: int) -> tuple[float, float, float]:
     """q(x_s | x_t, x_0) for s < t: coefficients of x_0 and x_t, and the standard deviation (DDPM
-    Eq. 7, strided).
+    Eq. 7, for a step from t to s instead of to t - 1).
 
     s = -1 stands for the noise-free end.
     """
-    ab_t, ab_s = ALPHA_BAR[t], (ALPHA_BAR[s] if s >= 0 else 1.0)
-    a = ab_t / ab_s
-    return (
-        float(np.sqrt(ab_s) * (1 - a) / (1 - ab_t)),
-        float(np.sqrt(a) * (1 - ab_s) / (1 - ab_t)),
-        float(np.sqrt((1 - a) * (1 - ab_s) / (1 - ab_t))),
-    )
+    ab_t = ALPHA_BAR[t]
+    ab_s = ALPHA_BAR[s] if s >= 0 else 1.0
+    alpha = ab_t / ab_s
+
+    of_clean = np.sqrt(ab_s) * (1 - alpha) / (1 - ab_t)
+    of_noisy = np.sqrt(alpha) * (1 - ab_s) / (1 - ab_t)
+    deviation = np.sqrt((1 - alpha) * (1 - ab_s) / (1 - ab_t))
+    return float(of_clean), float(of_noisy), float(deviation)

@@ -16,9 +16,14 @@ from pipeline.base.files import atomic_path
 from pipeline.prior.locate import part_paths
 
 PART = 15 * 2**20
+CURE = (
+    "give a file written by `python -m pipeline.prior.training.export` or "
+    "pipeline.prior.training.fit_gaussian"
+)
 
 
 def _groups(tensors: dict[str, torch.Tensor], limit: int) -> list[dict[str, torch.Tensor]]:
+    """Tensors in their order, in groups of at most `limit` bytes or of one tensor."""
     groups: list[dict[str, torch.Tensor]] = [{}]
     size = 0
     for name, value in tensors.items():
@@ -46,16 +51,18 @@ def save_parts(
     for name, group in zip(names, groups):
         with atomic_path(name) as temporary:
             save_file(group, str(temporary), {"heliograph": json.dumps(facts)})
+
     for old in {path, *path.parent.glob(f"{path.stem}-*-of-*.safetensors")} - set(names):
         old.unlink(missing_ok=True)
     return names
 
 
 def load_parts(path: Path) -> tuple[dict[str, torch.Tensor], dict]:
-    """Tensors as float32 and the facts. Raises InputError when the files are not weights of
-    ours.
+    """Tensors as float32, and the facts. Raises InputError when the files were not written by
+    `save_parts`.
     """
-    tensors, facts = {}, {}
+    tensors = {}
+    facts = {}
     try:
         for part in part_paths(path):
             with safe_open(str(part), "pt") as file:
@@ -65,6 +72,6 @@ def load_parts(path: Path) -> tuple[dict[str, torch.Tensor], dict]:
         raise InputError(
             f"not a Heliograph light prior ({type(error).__name__}: {error})",
             path,
-            "give a file written by `python -m pipeline.prior.training.export` or pipeline.prior.training.fit_gaussian",
+            CURE,
         ) from error
     return tensors, facts

@@ -13,8 +13,10 @@ import numpy as np
 
 from pipeline.render.envmap import directions, mirror, resample_area, uv_from_direction, yaw_roll
 
-MOVE_LEVEL, MOVE_UP = 0.45, 0.15  # largest horizontal and vertical move, in radii
-WHITE_BALANCE, CONTRAST = 0.06, 0.06  # deviations of log gain per channel and of log gamma
+MOVE_ALONG = 0.45  # largest horizontal move, in radii
+MOVE_UP = 0.15  # largest vertical one
+WHITE_BALANCE = 0.06  # deviation of log gain per channel
+CONTRAST = 0.06  # deviation of log gamma
 
 
 def moved(env: np.ndarray, origin: np.ndarray, yaw: float) -> np.ndarray:
@@ -22,12 +24,13 @@ def moved(env: np.ndarray, origin: np.ndarray, yaw: float) -> np.ndarray:
     result on the same grid.
     """
     h, w = env.shape[:2]
-    d = directions(h, w)
-    c, s = np.cos(yaw), np.sin(yaw)
-    d = d @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+    d = directions(h, w) @ np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
     along = d @ origin
-    t = -along + np.sqrt(along**2 + 1 - origin @ origin)
-    uv = uv_from_direction(origin + t[..., None] * d).astype(np.float32)
+    distance = -along + np.sqrt(along**2 + 1 - origin @ origin)
+    uv = uv_from_direction(origin + distance[..., None] * d).astype(np.float32)
+
     padded = np.concatenate([env[:, -1:], env, env[:, :1]], 1)
     return cv2.remap(
         padded,
@@ -43,13 +46,15 @@ def draw_view(env: np.ndarray, height: int, rng: np.random.Generator) -> np.ndar
     if rng.random() < 0.5:
         env = yaw_roll(env, int(rng.integers(env.shape[1])))
     else:
-        angle, radius = rng.uniform(0, 2 * np.pi), MOVE_LEVEL * np.sqrt(rng.random())
-        origin = np.array(
-            [radius * np.cos(angle), rng.uniform(-MOVE_UP, MOVE_UP), radius * np.sin(angle)]
-        )
+        angle = rng.uniform(0, 2 * np.pi)
+        radius = MOVE_ALONG * np.sqrt(rng.random())
+        up = rng.uniform(-MOVE_UP, MOVE_UP)
+        origin = np.array([radius * np.cos(angle), up, radius * np.sin(angle)])
         env = moved(env, origin, rng.uniform(0, 2 * np.pi))
     if rng.random() < 0.5:
         env = mirror(env)
+
     env = resample_area(env, height, 2 * height)
     gain = np.exp(WHITE_BALANCE * rng.normal(size=3))
-    return (gain * np.maximum(env, 0) ** np.exp(CONTRAST * rng.normal())).astype(np.float32)
+    gamma = np.exp(CONTRAST * rng.normal())
+    return (gain * np.maximum(env, 0) ** gamma).astype(np.float32)

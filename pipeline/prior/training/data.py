@@ -19,9 +19,7 @@ from pipeline.prior.training.sources import find_sources, read_source
 from pipeline.prior.value_code import scale_of, to_log
 from pipeline.render.envmap import resample_area
 
-# of the maps in the cache; models have 64 or fewer, so that views can be turned by fractions of
-# their pixels
-ROWS = 128
+ROWS = 128  # of cached maps; models have 64 or fewer: views turn by fractions of their pixels
 HELD_OUT = 10  # one of so many measured maps, by hash of its name, is never trained on
 
 
@@ -30,9 +28,7 @@ def is_held_out(name: str) -> bool:
 
 
 def scale_free(env: np.ndarray) -> np.ndarray:
-    """A map divided by its scale, whose exposure carries no information about the place
-    (`code.scale_of`).
-    """
+    """A map divided by its scale (`value_code.scale_of`): exposure says nothing of the place."""
     return env / max(scale_of(env), 1e-12)
 
 
@@ -40,9 +36,8 @@ def half(env: np.ndarray) -> np.ndarray:
     """Radiance as float16 square roots: a sun stays in range, and the relative error below 0.1
     %.
     """
-    return np.sqrt(np.maximum(env, 0)).astype(
-        np.float16
-    )  # rounding of the resampling leaves -1e-9 here and there
+    not_negative = np.maximum(env, 0)  # rounding of the resampling leaves -1e-9 here and there
+    return np.sqrt(not_negative).astype(np.float16)
 
 
 def radiance(stored: np.ndarray) -> np.ndarray:
@@ -67,6 +62,7 @@ def make_cache(
         for s in progress(sources, "reading maps")
     ]
     made, made_labels = generate(procedural, ROWS, seed)
+
     expanded = np.array([s.expanded for s in sources])
     held = np.array([is_held_out(s.path.stem) for s in sources]) & ~expanded
     with atomic_path(cache) as temporary, open(temporary, "wb") as file:
@@ -110,8 +106,10 @@ class Data:
             raise InputError(
                 "no measured map is left to train on", cache, "give more .exr or .hdr maps"
             )
+
         known = data.logs(~data.made & ~data.held)
-        data.mean, data.std = float(known.mean()), float(known.std())
+        data.mean = float(known.mean())
+        data.std = float(known.std())
         return data
 
     def logs(self, chosen: np.ndarray) -> np.ndarray:
@@ -135,7 +133,8 @@ class Batches:
     """Endless random batches of augmented views: measured maps with probability `real_share`."""
 
     def __init__(self, data: Data, real_share: float, seed: int):
-        self.data, self.rng = data, np.random.default_rng(seed)
+        self.data = data
+        self.rng = np.random.default_rng(seed)
         self.sets = [np.flatnonzero(~data.made & ~data.held), np.flatnonzero(data.made)]
         self.share = real_share if len(self.sets[1]) else 1.0
 

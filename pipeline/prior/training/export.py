@@ -1,5 +1,4 @@
-"""Write the averaged weights of a training run under weights/, as fp16 safetensors in parts
-(`parts`).
+"""Write the averaged weights of a training run under weights/, as fp16 safetensors in parts.
 
 python -m pipeline.prior.training.export --run RUN --out weights/prior_base.safetensors
 """
@@ -30,18 +29,10 @@ def main() -> None:
             args.run,
             "train first: python -m pipeline.prior.training.train",
         )
+
     tensors, facts = load_parts(args.run / "average.safetensors")
-    print(
-        json.dumps(
-            facts
-            | {
-                "files": [
-                    p.name
-                    for p in save_parts({k: v.half() for k, v in tensors.items()}, facts, args.out)
-                ]
-            }
-        )
-    )
+    files = save_parts({name: t.half() for name, t in tensors.items()}, facts, args.out)
+    print(json.dumps(facts | {"files": [file.name for file in files]}))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Fit the Gaussian prior to the data of a training run.
 
-python -m pipeline.prior.training.fit_gaussian --data RUN/data.npz --out weights/gaussian_small.safetensors
+python -m pipeline.prior.training.fit_gaussian --data RUN/data.npz \\
+    --out weights/gaussian_small.safetensors
 """
 
 from __future__ import annotations
@@ -16,9 +17,7 @@ from pipeline.prior.gaussian import spectra
 from pipeline.prior.training.data import Data
 from pipeline.prior.weight_files import save_parts
 
-REAL_SHARE = (
-    0.6  # weight of real maps against procedural ones, as in the diffusion prior's training
-)
+REAL_SHARE = 0.6  # weight of measured maps against made ones, as in the diffusion prior's training
 
 
 def main() -> None:
@@ -34,11 +33,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--height", type=int, default=32)
     args = parser.parse_args()
+
     data = Data.load(args.data, args.height)
     logs = data.logs(~data.held)
     made = data.made[~data.held]
     weights = np.where(made, (1 - REAL_SHARE) / max(made.sum(), 1), REAL_SHARE / (~made).sum())
     mean, covariance = spectra(data.codes(logs), weights)
+
     facts = {
         "format": "gaussian",
         "mean": data.mean,
@@ -47,17 +48,8 @@ def main() -> None:
         "real_maps": int((~made).sum()),
         "made_maps": int(made.sum()),
     }
-    print(
-        json.dumps(
-            facts
-            | {
-                "files": [
-                    p.name
-                    for p in save_parts({"mean": mean, "covariance": covariance}, facts, args.out)
-                ]
-            }
-        )
-    )
+    files = save_parts({"mean": mean, "covariance": covariance}, facts, args.out)
+    print(json.dumps(facts | {"files": [file.name for file in files]}))
 
 
 if __name__ == "__main__":

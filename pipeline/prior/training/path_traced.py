@@ -22,7 +22,9 @@ class Quads:
     """Rectangles as one triangle mesh with a colour per vertex."""
 
     def __init__(self):
-        self.points, self.colors, self.count = [], [], 0
+        self.points = []
+        self.colors = []
+        self.count = 0
 
     def add(self, corner, a, b, color) -> None:
         """A rectangle corner + s a + t b, facing a x b; `color` is (3,) or (n, m, 3), values at n x
@@ -53,9 +55,8 @@ class Quads:
         props["mesh_bsdf"] = mi.load_dict(
             {"type": "twosided", "b": {"type": "diffuse", "reflectance": reflectance}}
         )
-        faces = (
-            np.array([[0, 2, 3], [0, 3, 1]])[None] + 4 * np.arange(self.count)[:, None, None]
-        ).reshape(-1, 3)
+        first = 4 * np.arange(self.count)[:, None, None]
+        faces = (np.array([[0, 2, 3], [0, 3, 1]])[None] + first).reshape(-1, 3)
         mesh = mi.Mesh(
             "quads", 4 * self.count, 2 * self.count, props=props, has_vertex_normals=False
         )
@@ -79,12 +80,13 @@ def glowing(corner, a, b, radiance) -> dict:
     area = np.linalg.norm(normal)
     matrix = np.eye(4)
     matrix[:3] = np.stack([a / 2, b / 2, normal / area, corner + a / 2 + b / 2], 1)
-    image = (
-        np.broadcast_to(radiance, (2, 2, 3))
-        if np.ndim(radiance) == 1
-        else np.swapaxes(radiance, 0, 1)
-    )
+
+    if np.ndim(radiance) == 1:
+        image = np.broadcast_to(radiance, (2, 2, 3))
+    else:
+        image = np.swapaxes(radiance, 0, 1)
     image = np.ascontiguousarray(image, np.float32)
+
     return {
         "type": "rectangle",
         "to_world": mi.ScalarTransform4f(matrix),
@@ -124,12 +126,12 @@ def trace(
     """Radiance (h, w, 3) seen from `eye`. sun: (towards it (3,), irradiance (3,)), let in by lamps
     only.
     """
-    scene = mi.load_dict(
-        {"type": "scene", "room": quads.mesh(), **{f"lamp{k}": q for k, q in enumerate(lamps)}}
-    )
+    parts = {f"lamp{k}": lamp for k, lamp in enumerate(lamps)}
+    scene = mi.load_dict({"type": "scene", "room": quads.mesh(), **parts})
     integrator = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": 20})
     rng = np.random.default_rng(seed)
     total = np.zeros((h, w, 3))
+
     batch = max(1, 2**19 // (w * spp))  # rows at a time: memory
     for first in range(0, h, batch):
         v = np.repeat(np.arange(first, min(first + batch, h)), w * spp)
@@ -137,24 +139,28 @@ def trace(
         ray_d = direction_from_uv((u + rng.random(len(u))) / w, (v + rng.random(len(v))) / h)
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed * 131 + first, len(u))
+
         rays = mitsuba_rays(np.broadcast_to(eye, ray_d.shape), ray_d)
-        L = np.array(
-            integrator.sample(scene, sampler, mi.RayDifferential3f(rays), active=True)[0]
-        ).T
+        sampled, *_ = integrator.sample(scene, sampler, mi.RayDifferential3f(rays), active=True)
+        seen = np.array(sampled).T
         if sun is not None:
-            L = L + _sunlight(scene, rays, *sun)
-        total[first : first + batch] = L.reshape(-1, w, spp, 3).mean(2)
+            seen = seen + _sunlight(scene, rays, *sun)
+        total[first : first + batch] = seen.reshape(-1, w, spp, 3).mean(2)
     return total
 
 
 def _sunlight(scene, rays, towards, irradiance) -> np.ndarray:
     """Radiance (n, 3) of sunlight that reaches the first hit through an emitter (a window)."""
-    si, d = scene.ray_intersect(rays), mi.Vector3f(towards.tolist())
+    si = scene.ray_intersect(rays)
+    d = mi.Vector3f(towards.tolist())
     cosine = dr.abs(dr.dot(si.n, d))
+
     way = scene.ray_intersect(si.spawn_ray(d))
     inside = dr.dot(way.n, d) < 0
-    lit = si.is_valid() & way.is_valid() & (way.shape.emitter() != None) & inside  # noqa: E711  (a Dr.Jit comparison)
+    lit = si.is_valid() & way.is_valid() & inside
+    lit &= way.shape.emitter() != None  # noqa: E711  (a Dr.Jit comparison)
     lit &= dr.dot(si.wi, mi.Vector3f(0, 0, 1)) > 0
+
     albedo = np.array(si.bsdf().eval_diffuse_reflectance(si)).T
     lit &= si.shape.emitter() == None  # noqa: E711
     return albedo / np.pi * (np.array(cosine) * np.array(lit))[:, None] * irradiance

@@ -16,6 +16,12 @@ from pipeline.prior.network import LABELS
 from pipeline.render.envmap import directions, solid_angles
 
 SUN_HALF_ANGLE = np.radians(0.2665)
+EARTH = [0.35, 0.3, 0.22]
+GRASS = [0.2, 0.3, 0.1]
+STONE = [0.5, 0.5, 0.5]
+SAND = [0.5, 0.4, 0.2]
+GROUNDS = [EARTH, GRASS, STONE, SAND]
+CLASSES = {"outdoor": 0.45, "indoor": 0.3, "studio": 0.2, "night": 0.05}  # shares of what is made
 
 
 def noise(
@@ -28,9 +34,8 @@ def noise(
     """
     out = np.zeros((h, w))
     for octave in range(octaves):
-        layer = gaussian_filter(
-            rng.normal(size=(h, w)), smooth / 2**octave, mode=("nearest", "wrap")
-        )
+        white = rng.normal(size=(h, w))
+        layer = gaussian_filter(white, smooth / 2**octave, mode=("nearest", "wrap"))
         out += layer / (layer.std() + 1e-9) * persistence**octave
     return out / out.std()
 
@@ -67,43 +72,35 @@ def outdoor(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
     clouds.
     """
     d = directions(h, w)
-    elevation, azimuth = np.radians(rng.uniform(2, 75)), rng.uniform(0, 2 * np.pi)
-    sun = np.array(
-        [
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-            np.cos(elevation) * np.cos(azimuth),
-        ]
-    )
-    turbidity, ground_albedo = rng.uniform(1.5, 9.5), rng.uniform(0.05, 0.5)
+    weight = solid_angles(h, w)
+    elevation = np.radians(rng.uniform(2, 75))
+    azimuth = rng.uniform(0, 2 * np.pi)
+    x = np.cos(elevation) * np.sin(azimuth)
+    z = np.cos(elevation) * np.cos(azimuth)
+    sun = np.array([x, np.sin(elevation), z])
+    turbidity = rng.uniform(1.5, 9.5)
+    ground_albedo = rng.uniform(0.05, 0.5)
+
     up = np.maximum(d, [-1, 0.02, -1])
-    sky = _sky_radiance(
-        sun, turbidity, ground_albedo, up / np.linalg.norm(up, axis=-1, keepdims=True), False
-    )
+    up = up / np.linalg.norm(up, axis=-1, keepdims=True)
+    sky = _sky_radiance(sun, turbidity, ground_albedo, up, False)
     cover = rng.uniform(-2.5, 1.2)
     clouds = 1 / (1 + np.exp(-rng.uniform(2, 8) * (noise(rng, h, w, h / 6, 6, 0.6) + cover)))
     grey = sky.mean((0, 1)).mean() * rng.uniform(0.5, 3)
-    sky = (
-        sky * (1 - clouds[..., None])
-        + clouds[..., None] * grey * np.exp(0.4 * noise(rng, h, w, h / 8, 5, 0.6))[..., None]
-    )
+    billows = np.exp(0.4 * noise(rng, h, w, h / 8, 5, 0.6))[..., None]
+    sky = sky * (1 - clouds[..., None]) + clouds[..., None] * grey * billows
+
     row, column = np.unravel_index((d @ sun).argmax(), (h, w))
-    flux = (
-        _sky_radiance(sun, turbidity, ground_albedo, sun[None], True)[0] * np.pi * SUN_HALF_ANGLE**2
-    )
+    disc = _sky_radiance(sun, turbidity, ground_albedo, sun[None], True)[0]
+    flux = disc * np.pi * SUN_HALF_ANGLE**2
     flux = flux * (1 - clouds[row, column]) ** rng.uniform(1, 4)
-    ambient = (sky * np.maximum(d[..., 1:2], 0) * solid_angles(h, w)[..., None]).sum(
-        (0, 1)
-    ) / np.pi + flux * sun[1] / np.pi
-    spread = np.exp(
-        rng.uniform(np.log(0.05), np.log(0.5))
-    )  # share of the flux in haze and lens glare
-    sky[row, column] += (1 - spread) * flux / solid_angles(h, w)[row, column]
-    sky += (
-        spread
-        * flux
-        * _glow(d @ sun, np.radians(rng.uniform(0.5, 4)), solid_angles(h, w))[..., None]
-    )
+    ambient = (sky * np.maximum(d[..., 1:2], 0) * weight[..., None]).sum((0, 1)) / np.pi
+    ambient = ambient + flux * sun[1] / np.pi
+
+    spread = np.exp(rng.uniform(np.log(0.05), np.log(0.5)))  # share in haze and lens glare
+    sky[row, column] += (1 - spread) * flux / weight[row, column]
+    glow = _glow(d @ sun, np.radians(rng.uniform(0.5, 4)), weight)[..., None]
+    sky += spread * flux * glow
     return _with_ground(rng, sky, d, ambient, sun, flux.mean() / ambient.mean())
 
 
@@ -116,37 +113,31 @@ def _glow(cosine, width: float, weight) -> np.ndarray:
 
 def _skyline(rng, w: int) -> np.ndarray:
     """Height of hills, trees or buildings over longitude in radians, (w,)."""
-    steps = np.repeat(rng.normal(size=w), rng.integers(2, max(3, w // 12), w))[:w] * (
-        rng.random() < 0.4
-    )
+    steps = np.repeat(rng.normal(size=w), rng.integers(2, max(3, w // 12), w))[:w]
+    steps = steps * (rng.random() < 0.4)
     rough = np.abs(noise(rng, 1, w, w / 12, 7, rng.uniform(0.4, 0.8))[0]) + np.abs(steps)
     return np.radians(rng.choice([1, 5, 15, 30]) * rough + rng.uniform(-2, 6))
 
 
 def _with_ground(rng, sky, d, ambient, sun, directness):
     """Everything below a skyline becomes ground, hills, walls or trees: albedo times the light that
-    falls there.
+    falls there. `directness`: the sun's part of the light.
     """
     h, w = sky.shape[:2]
     grain = rng.uniform(0.3, 0.8)
     color = rng.uniform(0.3, 1) * rng.uniform(0.75, 1, 3) * rng.choice(GROUNDS)
-    ground = (
-        ambient
-        * color
-        * np.exp(rng.uniform(0.1, 0.7) * noise(rng, h, w, h / 6, 6, grain))[..., None]
-    )
+    texture = np.exp(rng.uniform(0.1, 0.7) * noise(rng, h, w, h / 6, 6, grain))[..., None]
+    ground = ambient * color * texture
     shade = noise(rng, h, w, h / 6, 4) > rng.uniform(0, 2.5)  # cast shadows lack the sun's share
     ground = np.where(shade[..., None], ground * (1 - min(0.9, 0.7 * directness)), ground)
+
     latitude = np.arcsin(np.clip(d[..., 1], -1, 1))
-    facing = np.clip(
-        0.6 - 0.5 * (d @ (sun * [1, 0, 1])), 0.05, 1.2
-    )  # walls opposite the sun are lit by it
-    upright = (
-        ambient
-        * rng.uniform(0.05, 0.5)
-        * rng.uniform(0.3, 1, 3)
-        * (facing * np.exp(rng.uniform(0.2, 0.9) * noise(rng, h, w, h / 10, 6, grain)))[..., None]
-    )
+    # walls opposite the sun are lit by it
+    facing = np.clip(0.6 - 0.5 * (d @ (sun * [1, 0, 1])), 0.05, 1.2)
+    color = ambient * rng.uniform(0.05, 0.5) * rng.uniform(0.3, 1, 3)
+    texture = np.exp(rng.uniform(0.2, 0.9) * noise(rng, h, w, h / 10, 6, grain))
+    upright = color * (facing * texture)[..., None]
+
     below = np.where((latitude > 0)[..., None], upright, ground)
     return np.where((latitude < _skyline(rng, w))[..., None], below, sky)
 
@@ -155,45 +146,28 @@ def night(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
     """Street lamps and lit windows under a dim sky; the ground is lit by the lamps around it."""
     d = directions(h, w)
     latitude = np.arcsin(np.clip(d[..., 1], -1, 1))
-    sky = np.exp(rng.uniform(-0.5, 2.5) + 0.3 * noise(rng, h, w, h / 6, 5))[
-        ..., None
-    ] * rng.uniform([0.5, 0.6, 0.7], [1.3, 1.0, 1.4])
+    sky = np.exp(rng.uniform(-0.5, 2.5) + 0.3 * noise(rng, h, w, h / 6, 5))[..., None]
+    sky = sky * rng.uniform([0.5, 0.6, 0.7], [1.3, 1.0, 1.4])
     sky = sky * np.exp(-rng.uniform(0, 2) * np.maximum(latitude, 0))[..., None]
-    lamps, lit = np.zeros((h, w, 3)), np.zeros((h, w))
+
+    lamps = np.zeros((h, w, 3))
+    lit = np.zeros((h, w))
     for _ in range(rng.integers(2, 25)):
-        row, column = int(h * (0.5 - abs(rng.normal(0.05, 0.12)))) % h, rng.integers(w)
-        color = (
-            np.array([1 + rng.uniform(0, 0.8), 1, 1 - rng.uniform(0, 0.8)])
-            * np.exp(rng.uniform(4, 9))
-            * 16
-            / h
-        )
+        row = int(h * (0.5 - abs(rng.normal(0.05, 0.12)))) % h
+        column = rng.integers(w)
+        tint = np.array([1 + rng.uniform(0, 0.8), 1, 1 - rng.uniform(0, 0.8)])
+        color = tint * np.exp(rng.uniform(4, 9)) * 16 / h
         tall = rng.integers(1, 3)
         lamps[row : row + tall, column : column + rng.integers(1, 4)] = color
-        near = np.exp(
-            -((d - d[min(int(0.5 * h + rng.uniform(0.03, 0.4) * h), h - 1), column]) ** 2).sum(-1)
-            / rng.uniform(0.02, 0.5)
-        )
+
+        below = d[min(int(0.5 * h + rng.uniform(0.03, 0.4) * h), h - 1), column]
+        near = np.exp(-((d - below) ** 2).sum(-1) / rng.uniform(0.02, 0.5))
         lit += near * rng.uniform(1, 20)
+
     front = np.exp(rng.uniform(0.4, 1.2) * noise(rng, h, w, h / 8, 6, rng.uniform(0.5, 0.9)))
-    ground = (
-        (0.3 + lit)[..., None] * front[..., None] * rng.uniform([0.3, 0.25, 0.1], [1, 0.8, 0.6])
-    )
+    color = rng.uniform([0.3, 0.25, 0.1], [1, 0.8, 0.6])
+    ground = (0.3 + lit)[..., None] * front[..., None] * color
     return np.where((latitude < _skyline(rng, w))[..., None], ground, sky) + lamps
-
-
-GROUNDS = [
-    [0.35, 0.3, 0.22],
-    [0.2, 0.3, 0.1],
-    [0.5, 0.5, 0.5],
-    [0.5, 0.4, 0.2],
-]  # earth, grass, stone, sand
-CLASSES = {
-    "outdoor": 0.45,
-    "indoor": 0.3,
-    "studio": 0.2,
-    "night": 0.05,
-}  # shares of the classes in what is made
 
 
 def generate(count: int, height: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -203,7 +177,8 @@ def generate(count: int, height: int, seed: int) -> tuple[np.ndarray, np.ndarray
     from pipeline.prior.training import rooms
 
     makers = {"outdoor": outdoor, "indoor": rooms.indoor, "studio": rooms.studio, "night": night}
-    maps, labels = [], []
+    maps = []
+    labels = []
     for k in progress(range(count), "procedural lights"):
         rng = np.random.default_rng([seed, k])
         name = rng.choice(list(CLASSES), p=list(CLASSES.values()))

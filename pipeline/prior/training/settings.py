@@ -15,10 +15,10 @@ class Network(Section):
     channels: tuple[int, ...] = Field(
         (24, 48, 96),
         min_length=1,
-        description="per level, multiples of 8; each level halves the size",
+        description="per scale, multiples of 8; each scale halves the size",
     )
     blocks: tuple[int, ...] = Field(
-        (1, 2, 2), min_length=1, description="residual blocks per level, each way"
+        (1, 2, 2), min_length=1, description="residual blocks per scale, each way"
     )
     embedding: int = Field(96, ge=8, multiple_of=2)
     sources: int = Field(2, ge=1, le=2, description="2: measured maps are told from made ones")

@@ -15,7 +15,9 @@ from pipeline.base.images import luminance, read_exr, read_png, srgb_to_linear
 from pipeline.prior.network import LABELS
 from pipeline.render.envmap import check_lat_long
 
-MEASURED, EXPANDABLE = (".exr", ".hdr"), (".jpg", ".jpeg", ".png")
+MEASURED = (".exr", ".hdr")
+EXPANDABLE = (".jpg", ".jpeg", ".png")
+COLUMNS = ("name", "class", "licence", "ldr")
 PEAK = 50.0  # radiance that inverse tone mapping gives to white, over that of middle grey x 5.6
 
 
@@ -32,10 +34,10 @@ class Source:
 
 def find_sources(folder: Path, catalogue: Path | None, licence_prefix: str = "") -> list[Source]:
     """The maps of a folder, or those rows of a catalogue (CSV: name, class, licence, ldr) whose
-    licence has the prefix.
+    licence begins with the prefix.
 
-    Without a catalogue every map is taken, without class. Raises InputError when nothing is left or
-    a listed file is missing.
+    Without a catalogue every map is taken, without class. Raises InputError when nothing is left, a
+    listed file is missing or a class is unknown.
     """
     present = sorted(Path(folder).iterdir()) if Path(folder).is_dir() else []
     files = {p.stem: p for p in present if p.suffix.lower() in MEASURED + EXPANDABLE}
@@ -47,6 +49,7 @@ def find_sources(folder: Path, catalogue: Path | None, licence_prefix: str = "")
         )
     if catalogue is None:
         return [Source(p, len(LABELS), p.suffix.lower() in EXPANDABLE) for p in files.values()]
+
     out = []
     for row in _rows(Path(catalogue)):
         if not row["licence"].startswith(licence_prefix):
@@ -63,14 +66,11 @@ def find_sources(folder: Path, catalogue: Path | None, licence_prefix: str = "")
                 catalogue,
                 nearest(row["class"], LABELS),
             )
+
         path = files[row["name"]]
-        out.append(
-            Source(
-                path,
-                LABELS.index(row["class"]),
-                row["ldr"] == "1" or path.suffix.lower() in EXPANDABLE,
-            )
-        )
+        expanded = row["ldr"] == "1" or path.suffix.lower() in EXPANDABLE
+        out.append(Source(path, LABELS.index(row["class"]), expanded))
+
     if not out:
         raise InputError(
             f"no row has a licence starting with '{licence_prefix}'",
@@ -81,22 +81,17 @@ def find_sources(folder: Path, catalogue: Path | None, licence_prefix: str = "")
 
 
 def _rows(path: Path) -> list[dict]:
+    """Rows of a catalogue, each with all of COLUMNS."""
+    cure = f"give a CSV with the columns {', '.join(COLUMNS)}"
     try:
         with open(path, newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"not a readable catalogue ({error})",
-            path,
-            "give a CSV with the columns name, class, licence, ldr",
-        ) from error
-    missing = {"name", "class", "licence", "ldr"} - set(rows[0] if rows else ())
+        raise InputError(f"not a readable catalogue ({error})", path, cure) from error
+
+    missing = set(COLUMNS) - set(rows[0] if rows else ())
     if missing:
-        raise InputError(
-            f"lacks the columns {', '.join(sorted(missing))}",
-            path,
-            "give a CSV with the columns name, class, licence, ldr",
-        )
+        raise InputError(f"lacks the columns {', '.join(sorted(missing))}", path, cure)
     return rows
 
 
@@ -110,14 +105,15 @@ def read_source(path: Path) -> np.ndarray:
     elif suffix == ".hdr":
         env = _read_hdr(path)
     else:
-        grey = read_png(path)
-        env = expand(
-            srgb_to_linear((grey if grey.ndim == 3 else np.repeat(grey[..., None], 3, -1)) / 255.0)
-        )
+        pixels = read_png(path)
+        if pixels.ndim == 2:
+            pixels = np.repeat(pixels[..., None], 3, -1)
+        env = expand(srgb_to_linear(pixels / 255.0))
     return check_lat_long(env, path)
 
 
 def _read_hdr(path: Path) -> np.ndarray:
+    """Radiance (h, w, 3) of a Radiance HDR file."""
     import cv2
 
     try:
@@ -141,7 +137,8 @@ def expand(linear: np.ndarray) -> np.ndarray:
     clipped stays unknown: such maps are marked and train the shape of scenes, not the height of
     their peaks.
     """
+    # y (1 + L) = L (1 + L / P^2)  =>  L^2 / P^2 - b L - y = 0, b = y - 1, P = PEAK
     y = np.clip(luminance(linear), 0, 1)
-    b = y - 1  # y (1 + L) = L (1 + L / P^2)  =>  L^2 / P^2 - b L - y = 0, b = y - 1
+    b = y - 1
     world = 0.5 * PEAK**2 * (b + np.sqrt(b * b + 4 * y / PEAK**2))
     return (linear * (world / np.maximum(y, 1e-6))[..., None]).astype(np.float32)

@@ -1,7 +1,8 @@
 """Train the light prior: EDM loss (Karras et al. 2022, Eq. 8 and Table 1) weighted by solid angle
 and evenly, half each, EMA, resumable.
 
-python -m pipeline.prior.training.train --config configs/prior/small.yaml --data MAPS --catalogue CSV --minutes 60 --out RUN
+python -m pipeline.prior.training.train --config configs/prior/small.yaml --data MAPS \\
+    --catalogue CSV --minutes 60 --out RUN
 
 RUN/state.pt holds all that a resumed run needs; RUN/average*.safetensors is the weight average
 alone, in parts small enough to carry between machines. Where only the average is there, training
@@ -31,7 +32,7 @@ from pipeline.render.envmap import solid_angles
 
 WARM_UP = 3000  # images over which the learning rate rises
 LAST_RATE = 0.03  # share of the learning rate at the end of the cosine
-LOG_SECONDS = 600
+LOG_SECONDS = 600  # between two lines of the log, and two checkpoints
 
 
 def loss_of(model, x, labels, sigma, weights) -> torch.Tensor:
@@ -48,33 +49,29 @@ def fixed_loss(model, codes, weights, config: Training) -> float:
     with torch.random.fork_rng():
         torch.manual_seed(1234)
         labels = torch.full((len(codes),), len(LABELS), device=codes.device)
-        levels = torch.exp(
-            config.sigma_log_mean + config.sigma_log_std * torch.linspace(-1.5, 1.5, 8)
-        )
+        spread = config.sigma_log_std * torch.linspace(-1.5, 1.5, 8)
+        losses = []
         with torch.no_grad():
-            losses = [
-                loss_of(model, codes, labels, s.expand(len(codes)).to(codes.device), weights).mean()
-                for s in levels
-            ]
+            for level in torch.exp(config.sigma_log_mean + spread):
+                sigma = level.expand(len(codes)).to(codes.device)
+                losses.append(loss_of(model, codes, labels, sigma, weights).mean())
     return float(torch.stack(losses).mean())
 
 
 def row_weights(h: int) -> torch.Tensor:
-    """(h, 2h), sum 1: half by solid angle; half evenly, which keeps the pole rows trained, for all
-    rows are shown.
+    """(h, 2h), sum 1: half by solid angle; half evenly, which keeps the rows at the poles trained.
+    They cover little of the sphere, but a lat-long map shows them as large as the others.
     """
     even = np.full((h, 2 * h), 1 / (2 * h * h))
-    return torch.from_numpy(0.5 * solid_angles(h, 2 * h) / (4 * np.pi) + 0.5 * even).float()
+    by_angle = solid_angles(h, 2 * h) / (4 * np.pi)
+    return torch.from_numpy(0.5 * by_angle + 0.5 * even).float()
 
 
 def learning_rate(config: Training, images: int) -> float:
     """Linear warm-up, then a cosine down to LAST_RATE of it."""
+    warm_up = min(1, (images + 1) / WARM_UP)
     phase = 0.5 * (1 + math.cos(math.pi * min(images / config.images, 1)))
-    return (
-        config.learning_rate
-        * min(1, (images + 1) / WARM_UP)
-        * (LAST_RATE + (1 - LAST_RATE) * phase)
-    )
+    return config.learning_rate * warm_up * (LAST_RATE + (1 - LAST_RATE) * phase)
 
 
 class Run:
@@ -82,17 +79,24 @@ class Run:
 
     def __init__(self, config: Training, facts: dict, out: Path, device: str):
         torch.manual_seed(config.seed)
-        self.config, self.facts, self.out, self.device, self.images = config, facts, out, device, 0
+        self.config = config
+        self.facts = facts
+        self.out = out
+        self.device = device
+        self.images = 0
+
         self.model = Denoiser(**config.network.model_dump()).to(device)
         self.average = copy.deepcopy(self.model)
         self.optimizer = torch.optim.AdamW(
             self.model.parameters(), config.learning_rate, betas=(0.9, 0.99), weight_decay=1e-4
         )
+
         if (out / "state.pt").exists():
             self._resume(torch.load(out / "state.pt", map_location=device, weights_only=True))
         elif part_paths(out / "average.safetensors"):
             tensors, old = load_parts(out / "average.safetensors")
-            self.model.load_state_dict(tensors), self.average.load_state_dict(tensors)
+            self.model.load_state_dict(tensors)
+            self.average.load_state_dict(tensors)
             self.images = old["images"]
             print(
                 f"resumed from the weight average at {self.images} images, with a fresh optimiser",
@@ -100,26 +104,25 @@ class Run:
             )
 
     def _resume(self, state: dict) -> None:
-        self.model.load_state_dict(state["model"]), self.average.load_state_dict(state["average"])
+        self.model.load_state_dict(state["model"])
+        self.average.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.images = state["images"]
 
     def save(self) -> None:
+        """Write state.pt and average*.safetensors."""
+        state = {
+            "model": self.model.state_dict(),
+            "average": self.average.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "images": self.images,
+        }
         with atomic_path(self.out / "state.pt") as temporary:
-            torch.save(
-                {
-                    "model": self.model.state_dict(),
-                    "average": self.average.state_dict(),
-                    "optimizer": self.optimizer.state_dict(),
-                    "images": self.images,
-                },
-                temporary,
-            )
-        save_parts(
-            {k: v.half().cpu() for k, v in self.average.state_dict().items()},
-            self.facts | {"images": self.images},
-            self.out / "average.safetensors",
-        )
+            torch.save(state, temporary)
+
+        weights = {name: t.half().cpu() for name, t in self.average.state_dict().items()}
+        facts = self.facts | {"images": self.images}
+        save_parts(weights, facts, self.out / "average.safetensors")
 
     def step(self, x, labels, weights) -> float:
         """One optimiser step on codes x (n, 3, h, w), forward pass in bfloat16; returns the mean
@@ -128,9 +131,9 @@ class Run:
         config = self.config
         dropped = torch.rand(len(labels), device=self.device) < config.label_dropout
         labels = torch.where(dropped, labels // KINDS * KINDS + len(LABELS), labels)
-        sigma = torch.exp(
-            config.sigma_log_mean + config.sigma_log_std * torch.randn(len(x), device=self.device)
-        )
+        spread = config.sigma_log_std * torch.randn(len(x), device=self.device)
+        sigma = torch.exp(config.sigma_log_mean + spread)
+
         with torch.autocast(self.device.split(":")[0], torch.bfloat16):
             loss = loss_of(self.model, x, labels, sigma, weights).mean()
         self.optimizer.zero_grad(set_to_none=True)
@@ -138,24 +141,22 @@ class Run:
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         self.optimizer.param_groups[0]["lr"] = learning_rate(config, self.images)
         self.optimizer.step()
+
         self.images += len(x)
-        decay = 0.5 ** (len(x) / min(config.ema_images, max(self.images / 5, 1)))
+        half_life = min(config.ema_images, max(self.images / 5, 1))
+        decay = 0.5 ** (len(x) / half_life)
+        average: list[torch.Tensor] = list(self.average.parameters())
         with torch.no_grad():
-            torch._foreach_lerp_(
-                list(self.average.parameters()), list(self.model.parameters()), 1 - decay
-            )
+            torch._foreach_lerp_(average, list(self.model.parameters()), 1 - decay)
         return float(loss.detach())
 
 
 def facts_of(config: Training, data: Data) -> dict:
     """What the weight files say of themselves."""
     labels = data.labels[~data.made & ~data.held & (data.labels < len(LABELS))]
+    present = {name: labels == k for k, name in enumerate(LABELS) if (labels == k).any()}
     return {
-        "shares": {
-            name: float((labels == k).mean())
-            for k, name in enumerate(LABELS)
-            if (labels == k).any()
-        },
+        "shares": {name: float(mine.mean()) for name, mine in present.items()},
         "network": config.network.model_dump(),
         "height": config.height,
         "mean": data.mean,
@@ -169,24 +170,23 @@ def facts_of(config: Training, data: Data) -> dict:
 def train(config: Training, data: Data, out: Path, minutes: float, device: str) -> None:
     """Train until the time is up; a checkpoint and a log line every ten minutes."""
     weights = row_weights(config.height).to(device)
-    test, known = (torch.from_numpy(data.measured(held)).to(device) for held in (True, False))
+    test = torch.from_numpy(data.measured(True)).to(device)
+    known = torch.from_numpy(data.measured(False)).to(device)
     known = known[:: max(1, len(known) // max(len(test), 1))]  # as many as are held out
     run = Run(config, facts_of(config, data), out, device)
     if device != "cpu":  # on CPU oneDNN's own layout is the faster one: 69 against 77 ms per map
         run.model.to(memory_format=torch.channels_last)
     batches = Batches(data, config.real_share, config.seed + run.images)
-    start = last = time.monotonic()
+
+    start = time.monotonic()
+    last = start
     losses = []
     while True:
         x, labels, made = batches.draw(config.batch)
-        offset = KINDS * made * (config.network.sources - 1)
-        losses.append(
-            run.step(
-                torch.from_numpy(x).to(device),
-                torch.from_numpy(labels + offset).to(device),
-                weights,
-            )
-        )
+        labels = labels + KINDS * made * (config.network.sources - 1)
+        codes = torch.from_numpy(x).to(device)
+        losses.append(run.step(codes, torch.from_numpy(labels).to(device), weights))
+
         now = time.monotonic()
         over = now - start > 60 * minutes
         if now - last > LOG_SECONDS or over:
@@ -201,7 +201,8 @@ def train(config: Training, data: Data, out: Path, minutes: float, device: str) 
             with open(out / "log.jsonl", "a", encoding="utf-8") as file:
                 file.write(json.dumps(line) + "\n")
             print(json.dumps(line), flush=True)
-            losses, last = [], time.monotonic()
+            losses = []
+            last = time.monotonic()
         if over:
             return
 
@@ -236,6 +237,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--device", default="cpu")
     args = parser.parse_args()
+
     torch.set_num_threads(args.threads)
     config = load_training(args.config)
     args.out.mkdir(parents=True, exist_ok=True)

@@ -139,7 +139,7 @@ def test_views_keep_a_uniform_light():
 def test_unmoved_views_keep_the_energy(monkeypatch):
     monkeypatch.setattr(augment, "WHITE_BALANCE", 0.0)
     monkeypatch.setattr(augment, "CONTRAST", 0.0)
-    monkeypatch.setattr(augment, "MOVE_LEVEL", 0.0)
+    monkeypatch.setattr(augment, "MOVE_ALONG", 0.0)
     monkeypatch.setattr(augment, "MOVE_UP", 0.0)
     env, rng = sun_map(64), np.random.default_rng(1)
     for _ in range(8):
