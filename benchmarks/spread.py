@@ -46,7 +46,10 @@ from pipeline.prior.sampling import draw
 from pipeline.render.envmap import directions, resample_area, solid_angles
 from pipeline.render.transport import STEEP, Rows, Transport
 
-POINTS, ERROR, COLOUR, VIEWED = 300, 0.03, 0.8, 0.35
+POINTS = 300
+ERROR = 0.03
+COLOUR = 0.8
+VIEWED = 0.35
 Y_UP = [1, 2, 0]  # the lattice begins at the last axis
 VIEWS = (1, 2, 4, 8, 16, 32)
 BLOCKS = 8  # rows of the light over which luminance is averaged
