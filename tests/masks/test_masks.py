@@ -38,6 +38,7 @@ def table(tmp_path, ring):
     return tmp_path, rig, truth
 
 
+@pytest.mark.slow
 def test_object_is_told_from_its_table(table, tmp_path):
     folder, rig, truth = table
     out = tmp_path / "out"

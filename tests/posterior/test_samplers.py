@@ -59,7 +59,6 @@ def test_a_chain_goes_back_to_an_earlier_state(problem, start):
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", list(SAMPLERS))
 def test_sampler_explains_the_photos_from_its_seed(problem, start, name):
     """A draw in between must not matter, another seed must, and the median pixel is right to 15 %

@@ -64,6 +64,7 @@ def test_white_furnace(renderer):
     assert 0.95 < L.mean() < 1.08
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "part, at",
     [("light", (2, 5, 1)), ("base_color", (4, 4, 0)), ("roughness", (4, 4)), ("metallic", (4, 4))],

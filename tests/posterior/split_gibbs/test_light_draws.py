@@ -335,6 +335,7 @@ class TwoModes:
         return (odds * mean[1] + (1 - odds) * mean[0])[:, None, None, None].expand_as(x).clone()
 
 
+@pytest.mark.slow
 def test_both_modes_with_their_weights():
     """A likelihood that prefers the upper mode 7 : 3 and says nothing else; weights within binomial
     error. Its expansion says nothing at all, so only the slices bring the weights about.
