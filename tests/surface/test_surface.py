@@ -32,6 +32,7 @@ def sphere(ring):
     return Rig(views, np.zeros(3), 0.8, "transforms.json"), silhouettes(views)
 
 
+@pytest.mark.slow
 def test_hull_of_a_sphere_is_the_sphere(sphere):
     rig, masks = sphere
     points, margin = coarse_hull(rig, masks)
@@ -95,6 +96,7 @@ def test_stereo_depth_of_a_textured_wall(ring):
         assert np.median(np.abs(z)) < 0.02
 
 
+@pytest.mark.slow
 def test_fusing_a_nearer_surface_carves_the_hull(sphere):
     """Depth maps of a smaller ball inside the hull of a larger one."""
     rig, masks = sphere
