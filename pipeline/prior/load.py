@@ -32,3 +32,15 @@ def load_prior(name: str) -> Prior:
             path,
             CURE,
         ) from error
+
+
+def load_gaussian(name: str) -> GaussianPrior:
+    """As `load_prior`, for a Gaussian prior. Raises InputError where it is another one."""
+    prior = load_prior(name)
+    if not isinstance(prior, GaussianPrior):
+        raise InputError(
+            "this prior is a network, a Gaussian prior is asked for",
+            find_prior(name),
+            "name one like gaussian_small, or fit one: pipeline.prior.training.fit_gaussian",
+        )
+    return prior

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from pipeline.base.errors import InputError
-from pipeline.prior.load import find_prior, load_prior
+from pipeline.prior.load import find_prior, load_gaussian, load_prior
 from pipeline.prior.network import Denoiser
 from pipeline.prior.sampling import (
     GUIDANCE,
@@ -147,3 +147,10 @@ def test_guidance_leads_away_from_the_unlabelled_mean():
         assert torch.equal(
             Guided(prior).denoise(x, sigma_, "class"), prior.denoise(x, sigma_, "class")
         )
+
+
+def test_a_network_is_no_gaussian_prior():
+    """`sample.search_prior` naming a network ends in a message that says what to name instead."""
+    assert load_gaussian("gaussian_tiny").height == 16
+    with pytest.raises(InputError, match="gaussian_small"):
+        load_gaussian("prior_tiny")
