@@ -79,13 +79,13 @@ def figures(thetas: list[Theta], edges: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_moves_leave_the_prior_as_it_is():
-    """Every chain starts with a draw of the prior, and still is one after 30 steps of wide moves:
+    """Every chain starts with a draw of the prior, and still is one after 20 steps of wide moves:
     to four deviations of each figure.
     """
     rng = np.random.default_rng(0)
     many, first = from_the_prior(40_000, rng), from_the_prior(1250, rng)
     lobes = np.zeros((8, 4, 2, 3))
-    last = [draw_regions(SILENT, lobes, t, 30, rng, np.full(2, 0.5)) for t in first]
+    last = [draw_regions(SILENT, lobes, t, 20, rng, np.full(2, 0.5)) for t in first]
     moved = np.mean([np.abs(a.mu - b.mu).max() > 0.01 for a, b in zip(first, last)])
     assert moved > 0.9
 
