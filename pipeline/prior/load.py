@@ -32,3 +32,15 @@ def load_prior(name: str) -> Prior:
             path,
             CURE,
         ) from error
+
+
+def load_gaussian(name: str) -> GaussianPrior:
+    """As `load_prior`, of a Gaussian prior. Raises InputError for any other."""
+    prior = load_prior(name)
+    if not isinstance(prior, GaussianPrior):
+        raise InputError(
+            "not a Gaussian prior",
+            find_prior(name),
+            "name a Gaussian one, such as gaussian_small, as sample.search_prior",
+        )
+    return prior

@@ -48,8 +48,8 @@ def test_object_is_told_from_its_table(table, tmp_path):
         mask = read_png(out / "masks" / f"{v.name}.png") > 127
         recall.append((mask & truth[v.name]).sum() / truth[v.name].sum())
         overlap.append((mask & truth[v.name]).sum() / (mask | truth[v.name]).sum())
-    # Nothing of the object is lost. Ground at its foot that no view sees bare may stay: stereo takes
-    # it off later (pipeline.surface.surface_masks).
+    # Nothing of the object is lost. Ground at its foot that no view sees bare may stay: stereo
+    # takes it off later (pipeline.surface.surface_masks).
     assert min(recall) > 0.97
     assert np.mean(overlap) > 0.8
 

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from pipeline.base.errors import InputError
-from pipeline.prior.load import find_prior, load_prior
+from pipeline.prior.load import find_prior, load_gaussian, load_prior
 from pipeline.prior.network import Denoiser
 from pipeline.prior.sampling import (
     GUIDANCE,
@@ -93,6 +93,9 @@ def test_wrong_weights_are_named(tmp_path):
         find_prior("prior_smal")
     with pytest.raises(InputError, match="no class"):
         load_prior("prior_small").label_index("seaside")
+    with pytest.raises(InputError, match="not a Gaussian prior"):
+        load_gaussian("prior_small")
+    assert load_gaussian("gaussian_small").height == 32
 
 
 def test_classes_come_in_their_shares():

@@ -25,7 +25,7 @@ from pipeline.posterior.split_gibbs.row_model import RowData, contrast
 from pipeline.posterior.split_gibbs.state import Noise, Randomness, RegionMaterials, State
 from pipeline.posterior.textures import gather
 from pipeline.prior.gaussian import GaussianPrior
-from pipeline.prior.load import load_prior
+from pipeline.prior.load import load_gaussian
 from pipeline.prior.protocol import Prior
 from pipeline.prior.value_code import scale_of
 from pipeline.render.renderer import Explanation
@@ -166,7 +166,7 @@ def set_up(
         data=data,
         mixer=Mixer(data),
         prior=prior,
-        gaussian=load_prior(settings.search_prior),
+        gaussian=load_gaussian(settings.search_prior),
         settings=settings,
         log_scale_centre=float(np.log(scale_of(fit.light))),
         view=observations.view[rows.observation],
