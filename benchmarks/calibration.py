@@ -49,7 +49,11 @@ class Observed(LightLikelihood):
     """y = A L(z) + noise with standard deviation ERROR y, per channel (LightLikelihood)."""
 
     def __init__(self, prior, A: torch.Tensor, y: torch.Tensor):
-        self.prior, self.A, self.y, self.deviation, self.gain = prior, A, y, ERROR * y, 1.0
+        self.prior = prior
+        self.A = A
+        self.y = y
+        self.deviation = ERROR * y
+        self.gain = 1.0
 
     def light(self, z: torch.Tensor) -> torch.Tensor:
         return (
@@ -71,34 +75,28 @@ class Observed(LightLikelihood):
 
 def lobes(prior, rng) -> torch.Tensor:
     """(ROWS, M) cosine lobes about random directions, exponents 1 to 300, each of unit integral."""
-    d, solid = (
-        directions(prior.height, prior.width).reshape(-1, 3),
-        solid_angles(prior.height, prior.width).reshape(-1),
-    )
+    d = directions(prior.height, prior.width).reshape(-1, 3)
+    solid = solid_angles(prior.height, prior.width).reshape(-1)
     axes = unit(rng.normal(size=(ROWS, 3)))
     A = np.maximum(axes @ d.T, 0) ** (10 ** rng.uniform(0, 2.5, (ROWS, 1))) * solid
     return torch.from_numpy((A / A.sum(1, keepdims=True)).astype(np.float32))
 
 
 def statistics(prior, code: torch.Tensor, pixels: np.ndarray) -> np.ndarray:
-    light = (
-        prior.decode(code.reshape(1, 3, prior.height, prior.width))[0].numpy().transpose(1, 2, 0)
-    )
-    Y = luminance(light)
-    return np.concatenate(
-        [sh_coefficients(np.repeat(Y[..., None], 3, -1))[:, 0], np.log(Y.reshape(-1)[pixels])]
-    )
+    """SH coefficients of a code's luminance, then log luminance of `pixels`; (17,)."""
+    light = prior.decode(code.reshape(1, 3, prior.height, prior.width))[0]
+    Y = luminance(light.numpy().transpose(1, 2, 0))
+    sh = sh_coefficients(np.repeat(Y[..., None], 3, -1))[:, 0]
+    return np.concatenate([sh, np.log(Y.reshape(-1)[pixels])])
 
 
 def simulate(job: tuple) -> np.ndarray:
     """Rank of the truth among the draws for every statistic."""
     seed, draws, levels, name, start = job
     torch.set_num_threads(1)
-    prior, rng, noise = (
-        load_prior(name),
-        np.random.default_rng(seed),
-        torch.Generator().manual_seed(seed),
-    )
+    prior = load_prior(name)
+    rng = np.random.default_rng(seed)
+    noise = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         gaussian = load_prior(start)
         fresh = lambda n: reverse_diffusion(

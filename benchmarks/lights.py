@@ -23,13 +23,15 @@ def statistics(env: np.ndarray) -> dict:
     """Of one radiance map (h, w, 3)."""
     h, w = env.shape[:2]
     weight = solid_angles(h, w)
-    level = np.maximum(env.mean(-1), 1e-6)
-    log = np.log(level)
-    energy, order = (level * weight).ravel(), np.argsort(-level.ravel())
+    brightness = np.maximum(env.mean(-1), 1e-6)
+    log = np.log(brightness)
+    energy = (brightness * weight).ravel()
+    order = np.argsort(-brightness.ravel())
     share = np.cumsum(energy[order]) / energy.sum()
     area = np.cumsum(weight.ravel()[order]) / (4 * np.pi)
     power = (np.abs(np.fft.rfft(log, axis=1)) ** 2 * weight[:, :1]).sum(0)
-    k = np.arange(2, w // 4)
+    frequency = np.arange(2, w // 4)
+    slope = np.polyfit(np.log(frequency), np.log(power[frequency]), 1)[0]
     ratio = np.log(np.maximum(env[..., 0], 1e-6) / np.maximum(env[..., 2], 1e-6))
     return {
         "peak: log p99.9 / median": np.percentile(log, 99.9) - np.median(log),
@@ -38,7 +40,7 @@ def statistics(env: np.ndarray) -> dict:
         "energy share of the brightest 0.2 %": share[np.searchsorted(area, 0.002)],
         "chroma: deviation of log R/B": ratio.std(),
         "tint: mean of log R/B": ratio.mean(),
-        "spectrum: slope over longitude": np.polyfit(np.log(k), np.log(power[k]), 1)[0],
+        "spectrum: slope over longitude": slope,
         "up - down: difference of mean log": log[: h // 2].mean() - log[h // 2 :].mean(),
         "rough: mean step between columns": np.abs(np.diff(log, axis=1)).mean(),
     }
@@ -52,7 +54,9 @@ def main() -> None:
     parser.add_argument("--height", type=int, default=64)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    data, table = Data.load(args.data, args.height), {}
+
+    data = Data.load(args.data, args.height)
+    table = {}
     for index, label in enumerate(LABELS):
         rows = {}
         for name, mark in (("measured", False), ("made", True)):
@@ -62,19 +66,18 @@ def main() -> None:
             ]
         if not all(rows.values()):
             continue
+
         print(f"{label}: {len(rows['measured'])} measured, {len(rows['made'])} made")
-        table[label] = {
-            key: {
+        table[label] = {}
+        for key in rows["measured"][0]:
+            pair = {
                 name: np.percentile([r[key] for r in values], [10, 50, 90])
                 for name, values in rows.items()
             }
-            for key in rows["measured"][0]
-        }
-        for key, pair in table[label].items():
-            print(
-                f"  {key:40s} "
-                + " | ".join(" ".join(f"{v:6.2f}" for v in values) for values in pair.values())
-            )
+            table[label][key] = pair
+            columns = [" ".join(f"{v:6.2f}" for v in values) for values in pair.values()]
+            print(f"  {key:40s} {' | '.join(columns)}")
+
     if args.out:
         write_json(args.out, table)
 

@@ -1,23 +1,27 @@
 """Judge light priors against measured maps: Fréchet distance, memorisation, seam, yaw, histograms,
 losses, times; sample sheets.
 
-python -m benchmarks.prior --data RUN/data.npz --priors prior_base gaussian_base --reni reni.npz --out prior.json --sheets FOLDER
-python -m benchmarks.prior ... --others MAPS --catalogue CSV --licence "not stated"     more maps that no prior was trained on
+python -m benchmarks.prior --data RUN/data.npz --priors prior_base gaussian_base \\
+    --reni reni.npz --out prior.json --sheets FOLDER
 
-RUN/data.npz is made by pipeline.prior.training.train, reni.npz by benchmarks.reni. Feature space of
-the Fréchet distance (Heusel et al. 2017, with features anyone can recompute): of every map's log
-code,
-  appearance: the mean of each opponent colour channel in 4 latitude bands, the log power of each
-  channel in 4 bands of
-    longitudinal frequency, and the percentiles 1, 25, 75, 99 and 99.9 of log luminance over its
-    median; 29 numbers;
-  structure: of log luminance's differences across and down at 4 scales, their mean size, their
-  sparseness E d^2 / (E |d|)^2
-    (Huang and Mumford 1999), the skewness of those down, and the correlations of sizes between the
-    two directions and between neighbouring scales (Portilla and Simoncelli 2000); 30 numbers;
-none changed by yaw, in units of the training maps' deviation. The floor is the distance between
-maps held out and maps trained on; `halves` the distance between two halves of the training maps,
-which shows how much of it is the small number of maps.
+With `--others MAPS --catalogue CSV --licence "not stated"` there are more maps that no prior was
+trained on. RUN/data.npz is made by pipeline.prior.training.train, reni.npz by benchmarks.reni.
+
+The Fréchet distance (Heusel et al. 2017) is between features that anyone can recompute, of every
+map's log code:
+
+  appearance, 29 numbers: the mean of each opponent colour channel in 4 latitude bands, the log
+    power of each channel in 4 bands of longitudinal frequency, and the percentiles 1, 25, 75, 99
+    and 99.9 of log luminance over its median;
+  structure, 30 numbers: of log luminance's differences d across and down at 4 scales, their mean
+    size, their sparseness E d^2 / (E |d|)^2 (Huang and Mumford 1999), the skewness of those down,
+    and the correlations of sizes between the two directions and between neighbouring scales
+    (Portilla and Simoncelli 2000).
+
+No feature changes with yaw; each is in units of the training maps' deviation. The distance between
+maps held out and maps trained on is the floor that a prior cannot be expected to beat; `halves`,
+the distance between two halves of the training maps, shows how much of it is the small number of
+maps.
 """
 
 from __future__ import annotations
@@ -28,6 +32,7 @@ import os
 import platform
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -62,38 +67,42 @@ def appearance(x: np.ndarray) -> np.ndarray:
     power = np.abs(np.fft.rfft(x, axis=-1)) ** 2
     weight = solid_angles(h, w)[:, :1]
     edges = [1, 2, 4, 10, w // 2 + 1]
-    spectrum = np.stack(
-        [(power[..., a:b].sum(-1) * weight[:, 0]).sum(-1) for a, b in zip(edges, edges[1:])], -1
-    ).reshape(n, -1)
-    level = np.percentile(x[:, 0].reshape(n, -1), [1, 25, 50, 75, 99, 99.9], axis=1).T
-    return np.concatenate(
-        [bands, np.log(spectrum + 1e-6), np.delete(level - level[:, 2:3], 2, 1)], 1
-    )
+    spectrum = [(power[..., a:b].sum(-1) * weight[:, 0]).sum(-1) for a, b in zip(edges, edges[1:])]
+    spectrum = np.stack(spectrum, -1).reshape(n, -1)
+
+    percentiles = np.percentile(x[:, 0].reshape(n, -1), [1, 25, 50, 75, 99, 99.9], axis=1).T
+    percentiles = np.delete(percentiles - percentiles[:, 2:3], 2, 1)
+    return np.concatenate([bands, np.log(spectrum + 1e-6), percentiles], 1)
 
 
 def structure(x: np.ndarray) -> np.ndarray:
     """(n, 30) of log luminance (n, h, w): how its edges are made, which no Gaussian field can
     imitate.
     """
-    h, out, finer = x.shape[1], [], None
+    h = x.shape[1]
     rows = h - h // 8
-    pair = lambda a, b: [
+    mean = lambda d: d.mean((1, 2))
+    correlations = lambda a, b: [
         np.corrcoef(u.ravel(), v.ravel())[0, 1] for u, v in zip(np.abs(a), np.abs(b))
     ]
+
+    out = []
+    finer = None
     for s in (h // 64, h // 32, h // 16, h // 8) if h >= 64 else (1, 2, 3, 4):
         smooth = uniform_filter(x, (0, s, s), mode=("nearest", "nearest", "wrap"))
-        edges = [
-            (np.roll(smooth, -s, 2) - smooth)[:, :rows],
-            smooth[:, s : s + rows] - smooth[:, :rows],
-        ]  # across, down
-        for d in edges:
-            out += [
-                np.log(np.abs(d).mean((1, 2)) + 1e-6),
-                np.log((d**2).mean((1, 2)) / np.abs(d).mean((1, 2)) ** 2),
-            ]
-        out += [(edges[1] ** 3).mean((1, 2)) / (edges[1] ** 2).mean((1, 2)) ** 1.5, pair(*edges)]
-        out += [pair(a, b) for a, b in zip(finer, edges)] if finer else []
-        finer = edges
+        across = (np.roll(smooth, -s, 2) - smooth)[:, :rows]
+        down = smooth[:, s : s + rows] - smooth[:, :rows]
+
+        for d in (across, down):
+            size = mean(np.abs(d))
+            out.append(np.log(size + 1e-6))
+            out.append(np.log(mean(d**2) / size**2))
+        out.append(mean(down**3) / mean(down**2) ** 1.5)
+        out.append(correlations(across, down))
+        if finer:
+            out.append(correlations(finer[0], across))
+            out.append(correlations(finer[1], down))
+        finer = (across, down)
     return np.stack(out, 1)
 
 
@@ -120,12 +129,17 @@ def nearest(codes: np.ndarray, bank: np.ndarray) -> np.ndarray:
     """
     h, w = codes.shape[-2:]
     root = np.sqrt(solid_angles(h, w) / (4 * np.pi) / 3)
-    f = lambda x: np.fft.rfft(x * root, axis=-1)
+    spectrum = lambda x: np.fft.rfft(x * root, axis=-1)
     both = np.concatenate([bank, bank[..., ::-1]])
-    spectra, size, out = f(both), ((both * root) ** 2).sum((1, 2, 3)), []
+    spectra = spectrum(both)
+    size = ((both * root) ** 2).sum((1, 2, 3))
+
+    out = []
     for x in codes:
-        overlap = np.fft.irfft((np.conj(f(x))[None] * spectra).sum((1, 2)), n=w, axis=-1).max(-1)
-        out.append(np.sqrt(max(float((size - 2 * overlap).min()) + ((x * root) ** 2).sum(), 0)))
+        product = (np.conj(spectrum(x))[None] * spectra).sum((1, 2))
+        overlap = np.fft.irfft(product, n=w, axis=-1).max(-1)
+        squared = float((size - 2 * overlap).min()) + ((x * root) ** 2).sum()
+        out.append(np.sqrt(max(squared, 0)))
     return np.array(out)
 
 
@@ -142,13 +156,9 @@ def yaw_error(prior, codes: np.ndarray) -> dict:
     with torch.no_grad():
         plain = prior.denoise(x, 1.0)
         size = float(plain.std())
-        return {
-            k: float(
-                (prior.denoise(x.roll(k, -1), 1.0).roll(-k, -1) - plain).square().mean().sqrt()
-            )
-            / size
-            for k in (1, 2, 4, 8)
-        }
+        turned = lambda k: prior.denoise(x.roll(k, -1), 1.0).roll(-k, -1)
+        rms = lambda error: float(error.square().mean().sqrt())
+        return {k: rms(turned(k) - plain) / size for k in (1, 2, 4, 8)}
 
 
 def seconds(action, repeats: int) -> float:
@@ -165,10 +175,11 @@ def seconds(action, repeats: int) -> float:
 def times(prior, steps: int) -> dict:
     """Forward pass and a whole draw, for 1 and 8 maps, on two threads."""
     set_threads(2)
-    x = lambda n: torch.randn(n, 3, prior.height, prior.width)
+    once = lambda n: prior.denoise(torch.randn(n, 3, prior.height, prior.width), 1.0)
+    whole = lambda n: draw(prior, n, steps, 0)
     with torch.no_grad():
-        out = {f"forward_{n}": seconds(lambda: prior.denoise(x(n), 1.0), 9) for n in (1, 8)}
-        return out | {f"sample_{n}": seconds(lambda: draw(prior, n, steps, 0), 1) for n in (1, 8)}
+        out = {f"forward_{n}": seconds(partial(once, n), 9) for n in (1, 8)}
+        return out | {f"sample_{n}": seconds(partial(whole, n), 1) for n in (1, 8)}
 
 
 def histograms(prior_lights: np.ndarray, measured: np.ndarray) -> dict:
@@ -191,11 +202,13 @@ def distances(a: np.ndarray, b: np.ndarray) -> dict:
     """Fréchet distance of features a (n, 59) from those b of known maps, in either half of the
     space and in the whole.
     """
-    a, b, n = a / (b.std(0) + 1e-9), b / (b.std(0) + 1e-9), APPEARANCE
+    unit = b.std(0) + 1e-9
+    a = a / unit
+    b = b / unit
     return {
         "all": frechet(a, b),
-        "appearance": frechet(a[:, :n], b[:, :n]),
-        "structure": frechet(a[:, n:], b[:, n:]),
+        "appearance": frechet(a[:, :APPEARANCE], b[:, :APPEARANCE]),
+        "structure": frechet(a[:, APPEARANCE:], b[:, APPEARANCE:]),
     }
 
 
@@ -211,15 +224,16 @@ def judged(
     and unseen (held out or other).
     """
     radiance = lambda x: np.exp(x * spread + mean).transpose(0, 2, 3, 1)
-    order = np.random.default_rng(0).permutation(len(known))
-    f, half = features(known), np.array_split(order, 2)
-    near, near_held, near_unseen = (np.median(nearest(x, known)) for x in (codes, held, unseen))
+    of_known = features(known)
+    first, second = np.array_split(np.random.default_rng(0).permutation(len(known)), 2)
+    near = lambda x: np.median(nearest(x, known))
+    of_codes = near(codes)
     return {
-        "frechet": distances(features(codes), f),
-        "frechet_held_out": distances(features(held), f),
-        "frechet_unseen": distances(features(unseen), f),
-        "frechet_halves": distances(f[half[0]], f[half[1]]),
-        "nearest_ratio": {"held_out": near / near_held, "unseen": near / near_unseen},
+        "frechet": distances(features(codes), of_known),
+        "frechet_held_out": distances(features(held), of_known),
+        "frechet_unseen": distances(features(unseen), of_known),
+        "frechet_halves": distances(of_known[first], of_known[second]),
+        "nearest_ratio": {"held_out": of_codes / near(held), "unseen": of_codes / near(unseen)},
         "seam": seam(codes),
         "seam_data": seam(known),
         "statistics": histograms(radiance(codes), radiance(np.concatenate([known, unseen]))),
@@ -236,28 +250,47 @@ def judge(
     name: str, data: Data, others: list[np.ndarray], count: int, steps: int, folder: Path | None
 ) -> dict:
     """A row of the table for the prior called `name`, in that prior's own value code."""
-    prior, start = load_prior(name), time.monotonic()
+    prior = load_prior(name)
+    start = time.monotonic()
     data = replace(data, height=prior.height, mean=prior.code.mean, std=prior.code.std)
-    known, held, unseen = data.measured(False), data.measured(True), all_unseen(data, others)
+    known = data.measured(False)
+    held = data.measured(True)
+    unseen = all_unseen(data, others)
     if isinstance(prior, GaussianPrior):
         codes = prior.sample(count, torch.Generator().manual_seed(0))
     else:
         codes = draw(prior, count, steps, 100)
+
     out = {"prior": name, "samples": count, "held_out": len(held), "unseen": len(unseen)}
     out |= judged(codes.numpy(), prior.log_spread, data.mean, known, held, unseen)
     model = lambda x, sigma, label: prior.denoise(x, float(sigma[0]))
     loss = lambda x: fixed_loss(model, torch.from_numpy(x), row_weights(prior.height), Training())
     out["loss"] = {"train": loss(known), "held_out": loss(held), "all_unseen": loss(unseen)}
-    out["yaw_error"], out["seconds"] = yaw_error(prior, known), times(prior, steps)
+    out["yaw_error"] = yaw_error(prior, known)
+    out["seconds"] = times(prior, steps)
+
     if folder:
-        for label in [None] if isinstance(prior, GaussianPrior) else [None, *LABELS]:
-            maps = (
-                lights(prior, codes[:64])
-                if label is None
-                else lights(prior, draw(prior, 64, steps, 7, label))
-            )
-            write_png(folder / f"{name}_{label or 'all'}.png", sheet(maps))
+        write_png(folder / f"{name}_all.png", sheet(lights(prior, codes[:64])))
+        for label in () if isinstance(prior, GaussianPrior) else LABELS:
+            maps = lights(prior, draw(prior, 64, steps, 7, label))
+            write_png(folder / f"{name}_{label}.png", sheet(maps))
     return out | {"judged_in_seconds": time.monotonic() - start}
+
+
+def judge_reni(path: Path, cache: Path, others: list[np.ndarray]) -> dict:
+    """A row of the table for the samples that benchmarks.reni wrote."""
+    codes = np.load(path)["codes"]
+    data = Data.load(cache, codes.shape[2])
+    known = data.measured(False)
+    held = data.measured(True)
+    unseen = all_unseen(data, others)
+    scores = judged(codes, 2 * data.std, data.mean, known, held, unseen)
+    return {"prior": "RENI-like", "samples": len(codes)} | scores
+
+
+def show(row: dict) -> None:
+    """Print a row with arrays rounded."""
+    print(json.dumps(row, indent=1, default=lambda v: np.round(v, 3).tolist()), flush=True)
 
 
 def main() -> None:
@@ -275,36 +308,25 @@ def main() -> None:
     parser.add_argument("--sheets", type=Path, help="folder for sample sheets, 64 per label")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
+
     data = Data.load(args.data, 64)
-    sources = find_sources(args.others, args.catalogue, args.licence) if args.others else []
-    others = (
-        [read_source(s.path) for s in progress(sources, "other maps") if not s.expanded]
-        if sources
-        else []
-    )
+    others = []
+    if args.others:
+        sources = find_sources(args.others, args.catalogue, args.licence)
+        measured = [s for s in sources if not s.expanded]
+        others = [read_source(s.path) for s in progress(measured, "other maps")]
+
     rows = []
     for name in args.priors:
         rows.append(judge(name, data, others, args.samples, args.steps, args.sheets))
-        print(json.dumps(rows[-1], indent=1, default=lambda v: np.round(v, 3).tolist()), flush=True)
+        show(rows[-1])
     if args.reni:
-        codes = np.load(args.reni)["codes"]
-        data = Data.load(args.data, codes.shape[2])
-        rows.append(
-            {"prior": "RENI-like", "samples": len(codes)}
-            | judged(
-                codes,
-                2 * data.std,
-                data.mean,
-                data.measured(False),
-                data.measured(True),
-                all_unseen(data, others),
-            )
-        )
-        print(json.dumps(rows[-1], indent=1, default=lambda v: np.round(v, 3).tolist()), flush=True)
+        rows.append(judge_reni(args.reni, args.data, others))
+        show(rows[-1])
+
     if args.out:
-        write_json(
-            args.out, {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows}
-        )
+        machine = f"{platform.machine()}, {os.cpu_count()} cores"
+        write_json(args.out, {"machine": machine, "rows": rows})
 
 
 if __name__ == "__main__":

@@ -3,10 +3,11 @@ variational auto-decoder.
 
 python -m benchmarks.reni --data RUN/data.npz --height 64 --minutes 10 --out reni.npz
 
-After Gardner et al. 2022 (RENI), 2023 (RENI++), in our value code: a light is a matrix of K latent
-vectors; radiance in direction d is an MLP of what no yaw changes, the products of the latents' and
-d's horizontal parts, the latents' heights and norms, and d's height. Latents are fitted per map
-with a Kullback-Leibler term towards N(0, I); samples decode draws of N(0, I). Writes `codes`.
+After Gardner et al. 2022 (RENI), 2023 (RENI++), in this project's value code: a light is a matrix
+of K latent vectors; radiance in direction d is an MLP of what no yaw changes, the products of the
+latents' and d's horizontal parts, the latents' heights and norms, and d's height. Latents are
+fitted per map with a Kullback-Leibler term towards N(0, I); samples decode draws of N(0, I). Writes
+`codes`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,11 @@ from pipeline.base.files import atomic_path
 from pipeline.prior.training.data import Data
 from pipeline.render.envmap import directions, solid_angles
 
-LATENTS, HIDDEN, LAYERS, PIXELS, MAPS = 36, 192, 5, 512, 24
+LATENTS = 36  # K
+HIDDEN = 192
+LAYERS = 5
+PIXELS = 512  # per map and step
+MAPS = 24  # per step
 KL_WEIGHT = 1e-4  # RENI's own
 
 
@@ -38,50 +43,58 @@ class Field(nn.Module):
         self.leave = nn.Linear(HIDDEN, 3)
 
     def forward(self, z, d):
-        level, up = z[..., [0, 2]], z[..., 1]
-        facing = torch.einsum("nki,npi->npk", level, d[..., [0, 2]])
-        fixed = torch.cat([up, level.norm(dim=-1)], -1)[:, None].expand(-1, d.shape[1], -1)
-        x = torch.cat([facing, fixed, d[..., 1:2], d[..., [0, 2]].norm(dim=-1, keepdim=True)], -1)
-        for k, layer in enumerate(self.layers):
-            h = layer(x)
-            x = (
-                torch.sin(30 / 2**4 * h)
-                if k == 0
-                else torch.nn.functional.silu(h) + (x if k > 1 else 0)
-            )
+        horizontal = z[..., [0, 2]]
+        up = z[..., 1]
+        along = d[..., [0, 2]]
+        facing = torch.einsum("nki,npi->npk", horizontal, along)
+        fixed = torch.cat([up, horizontal.norm(dim=-1)], -1)[:, None].expand(-1, d.shape[1], -1)
+        x = torch.cat([facing, fixed, d[..., 1:2], along.norm(dim=-1, keepdim=True)], -1)
+
+        first, second, *rest = self.layers
+        x = torch.sin(30 / 2**4 * first(x))
+        x = nn.functional.silu(second(x))
+        for layer in rest:
+            x = nn.functional.silu(layer(x)) + x
         return self.leave(x)
 
 
 def fit(codes: np.ndarray, minutes: float, seed: int = 0) -> tuple[Field, torch.Tensor]:
     """Field and latent means (n, K, 3) after `minutes` of training on codes (n, 3, h, w)."""
     torch.manual_seed(seed)
-    rng, (n, _, h, w) = np.random.default_rng(seed), codes.shape
-    d, weight = directions(h, w).reshape(-1, 3), solid_angles(h, w).ravel()
+    rng = np.random.default_rng(seed)
+    n, _, h, w = codes.shape
+    d = directions(h, w).reshape(-1, 3)
+    weight = solid_angles(h, w).ravel()
     values = torch.from_numpy(codes.reshape(n, 3, -1).transpose(0, 2, 1).copy())
-    field, mean, log_deviation = (
-        Field(),
-        nn.Parameter(0.1 * torch.randn(n, LATENTS, 3)),
-        nn.Parameter(torch.full((n, LATENTS, 3), -2.0)),
-    )
+
+    field = Field()
+    mean = nn.Parameter(0.1 * torch.randn(n, LATENTS, 3))
+    log_deviation = nn.Parameter(torch.full((n, LATENTS, 3), -2.0))
     optimizer = torch.optim.Adam(
         [{"params": field.parameters(), "lr": 1e-3}, {"params": [mean, log_deviation], "lr": 1e-2}]
     )
+
     start = time.monotonic()
     while (spent := (time.monotonic() - start) / 60) < minutes:
         for group, rate in zip(optimizer.param_groups, (1e-3, 1e-2)):
             group["lr"] = rate * (1 - 0.97 * spent / minutes)
         maps = torch.from_numpy(rng.choice(n, min(MAPS, n), replace=False))
         pixels = torch.from_numpy(rng.choice(h * w, PIXELS, p=weight / weight.sum()))
-        m, s = mean[maps], log_deviation[maps]
-        z = m + s.exp() * torch.randn_like(m)
+
+        middle = mean[maps]
+        spread = log_deviation[maps]
+        z = middle + spread.exp() * torch.randn_like(middle)
         out = field(z, torch.from_numpy(d)[pixels].float()[None].expand(len(maps), -1, -1))
-        kl = 0.5 * (m**2 + (2 * s).exp() - 2 * s - 1).mean()
+        kl = 0.5 * (middle**2 + (2 * spread).exp() - 2 * spread - 1).mean()
         loss = ((out - values[maps][:, pixels]) ** 2).mean() + KL_WEIGHT * kl * LATENTS
+
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
+
     print(
-        f"loss {loss.item():.4f}, KL per number {kl.item():.3f}, latent deviation {mean.std().item():.2f}"
+        f"loss {loss.item():.4f}, KL per number {kl.item():.3f}, "
+        f"latent deviation {mean.std().item():.2f}"
     )
     return field, mean.detach()
 

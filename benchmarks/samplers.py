@@ -1,18 +1,23 @@
 """Samplers side by side on scenes whose light and base colour are known.
 
-python -m benchmarks.samplers --scene boombox FOLDER --methods split_gibbs dpi_paper --samples 2 --out rows.json
+python -m benchmarks.samplers --scene boombox FOLDER --methods split_gibbs dpi_paper \\
+    --samples 2 --out rows.json
 
-FOLDER is a scene rendered by the project's scene maker (images/, transforms*.json, mesh.ply, truth/
-with a relight); work/<scene> holds its stages up to `fit` (benchmarks.pairs makes both). One
-process, one thread per sampler as in the sample stage; every draw is refined with refine.steps = 0
-(base colour only), so that the methods' own roughness and metallic are judged. Per method: seconds
-per draw; light PSNR of the draws and of their mean (log radiance, one common scale removed; a
-draw's error is up to 3 dB above the mean's, where the spread is right); PSNR of held-out views
-inside the mask, of the draws and of their mean picture; base colour error (RMS over held-out views,
-raw and after one factor per channel); PSNR of held-out views under another light; and, for 3 draws
-or more, how often the draws' intervals hold the truth (`unknowns`). A folder whose cameras are not
-given, or without truth/, has seconds and held-out views only. Set OMP_NUM_THREADS=1 as the workflow
-does.
+FOLDER is a scene of benchmarks.make_scene (images/, transforms*.json, mesh.ply, truth/ with a
+relight); work/<scene> holds its stages up to `fit`. benchmarks.pairs makes both. One process, one
+thread per sampler as in the sample stage; every draw is refined with refine.steps = 0 (base colour
+only), so that the methods' own roughness and metallic are judged. Set OMP_NUM_THREADS=1 as the
+workflow does. Per method:
+
+  seconds per draw;
+  light PSNR of the draws and of their mean: log radiance, one common scale removed. Where the
+    spread is right, the mean is up to 3 dB better than a draw;
+  PSNR of held-out views inside the mask, of the draws and of their mean picture;
+  base colour error: RMS over held-out views, raw and after one factor per channel;
+  PSNR of held-out views under another light;
+  for 3 draws or more, how often the draws' intervals hold the truth (`Truth.unknowns`).
+
+A folder whose cameras are not given, or without truth/, has seconds and held-out views only.
 """
 
 from __future__ import annotations
@@ -48,7 +53,8 @@ from pipeline.render.renderer import Explanation
 from pipeline.run.stage import overrides
 from pipeline.run.workflow import checked_name
 
-RELIT, RELIT_SPP = 200, 512  # pixels per held-out view, and paths for each
+RELIT = 200  # pixels per held-out view that are relit
+RELIT_SPP = 512  # paths for each
 AT_ONCE = 64  # of those paths in one pass
 HELD_OUT_SPP = 64
 
@@ -87,15 +93,9 @@ class Truth:
             picture = read_exr(folder / "albedo" / f"{view.name}.exr")
             rows, columns = np.mgrid[0 : view.height : 2, 0 : view.width : 2].reshape(2, -1)
             uv, _, hit = tracer.hit(*view.rays(np.stack([columns + 0.5, rows + 0.5], -1)))
-            value = picture[
-                tuple(
-                    (v * n / m).astype(int)
-                    for v, n, m in (
-                        (rows, len(picture), view.height),
-                        (columns, picture.shape[1], view.width),
-                    )
-                )
-            ]
+            row = (rows * len(picture) / view.height).astype(int)
+            column = (columns * picture.shape[1] / view.width).astype(int)
+            value = picture[row, column]
             hit &= value.max(-1) > 0
             where.append(uv[hit])
             values.append(value[hit])
@@ -105,20 +105,15 @@ class Truth:
         """Radiance of the same pixels under the other light, of `x`; twice, with independent noise
         (2, n, 3).
         """
-        renderer.set(
-            replace(
-                x,
-                light=resample_area(self.other_light, *renderer.light_shape[:2]).astype(np.float32),
-            )
-        )
+        light = resample_area(self.other_light, *renderer.light_shape[:2]).astype(np.float32)
+        renderer.set(replace(x, light=light))
+
+        passes = RELIT_SPP // 2 // AT_ONCE
         many = lambda view, at: view_rays(view, np.repeat(at, AT_ONCE, 0))
-        once = lambda seed: np.concatenate(
-            [
-                renderer.mean_radiance(many(view, at), RELIT_SPP // 2 // AT_ONCE, seed)
-                for view, at in self.pixels
-            ]
+        paths = lambda seed: np.concatenate(
+            [renderer.mean_radiance(many(view, at), passes, seed) for view, at in self.pixels]
         )
-        return np.stack([once(seed).reshape(-1, AT_ONCE, 3).mean(1) for seed in (0, 1)])
+        return np.stack([paths(seed).reshape(-1, AT_ONCE, 3).mean(1) for seed in (0, 1)])
 
     def unknowns(self, light: np.ndarray, colours: np.ndarray, relit_pixels: np.ndarray) -> dict:
         """What intervals are drawn about: SH coefficients of the light (order 2) raw and over its
@@ -155,23 +150,24 @@ def coverage(draws: np.ndarray, truth: np.ndarray) -> dict:
     1), so 9 draws have an 80 % interval between least and greatest; wider ones are Student's
     predictive intervals.
     """
-    n, out = len(draws), {}
+    n = len(draws)
+    out = {}
     for nominal in (0.5, 0.8, 0.95):
         rank = 0.5 * (1 - nominal) * (n + 1)
         if rank >= 1:
             low, high = np.quantile(draws, [(rank - 1) / (n - 1), 1 - (rank - 1) / (n - 1)], axis=0)
         else:
-            reach = (
-                stats.t.ppf(0.5 + 0.5 * nominal, n - 1) * draws.std(0, ddof=1) * np.sqrt(1 + 1 / n)
-            )
-            low, high = draws.mean(0) - reach, draws.mean(0) + reach
+            deviations = stats.t.ppf(0.5 + 0.5 * nominal, n - 1)
+            reach = deviations * draws.std(0, ddof=1) * np.sqrt(1 + 1 / n)
+            low = draws.mean(0) - reach
+            high = draws.mean(0) + reach
         out[f"{nominal:.0%}"] = float(((truth >= low) & (truth <= high)).mean())
     return out
 
 
 def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict:
     """One method on one scene."""
-    prior, rows, drawn_lights, quantities, pictures = load_prior(scene.sample.prior), [], [], [], []
+    prior = load_prior(scene.sample.prior)
     load = lambda texture: load_problem(
         folders["observe"],
         folders["poses"],
@@ -187,14 +183,14 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
     mean_psnr = lambda pictures: float(
         np.mean([psnr(a, photo, mask, b) for (a, b), (_, photo, mask) in zip(pictures, held)])
     )
-    known = (folder / "transforms.json").exists() and (
-        folder / "truth"
-    ).is_dir()  # truth has the frame of the given cameras
-    truth = (
-        Truth(folder / "truth", full, folders["atlas"] / "mesh_uv.ply", prior.height)
-        if known
-        else None
-    )
+    truth = None  # it has the frame of the given cameras
+    if (folder / "transforms.json").exists() and (folder / "truth").is_dir():
+        truth = Truth(folder / "truth", full, folders["atlas"] / "mesh_uv.ply", prior.height)
+
+    rows = []
+    pictures = []
+    drawn_lights = []
+    quantities = []
     for seed in range(samples):
         problem = load(scene.sample.texture)
         set_threads(1)
@@ -217,6 +213,7 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
             quantities.append(values)
             drawn_lights.append(np.log(np.maximum(final.light, 1e-6)))
         rows.append(row)
+
     out = {"method": method, "samples": samples} | {
         k: round(float(np.mean([r[k] for r in rows])), 4) for k in rows[0]
     }

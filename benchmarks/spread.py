@@ -69,7 +69,10 @@ from pipeline.render.envmap import directions, resample_area, solid_angles
 from pipeline.render.rows import STEEP, Rows
 from pipeline.render.transport import Transport
 
-POINTS, ERROR, COLOR, VIEWED = 300, 0.03, 0.8, 0.35
+POINTS = 300
+ERROR = 0.03
+COLOR = 0.8
+VIEWED = 0.35
 Y_UP = [1, 2, 0]  # the lattice begins at the last axis
 VIEWS = (1, 2, 4, 8, 16, 32)
 BLOCKS = 8  # rows of the light over which luminance is averaged

@@ -29,8 +29,11 @@ from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.render.envmap import directions, solid_angles
 
-WIDTH, HEIGHT, FOCAL_35 = 960, 640, 38.0
-DISTANCE, AIM = 0.93, np.array([0.03, 0.085, 0.0])
+WIDTH = 960
+HEIGHT = 640
+FOCAL_35 = 38.0  # focal length in millimetres on 35 mm film
+DISTANCE = 0.93  # of the cameras from AIM, in metres
+AIM = np.array([0.03, 0.085, 0.0])
 RINGS = ((14, 16), (33, 16), (56, 12))  # elevation in degrees, number of photos
 
 
@@ -123,9 +126,13 @@ def pot_maps(rng, size=2048):
     """
     v, u = np.mgrid[0:size, 0:size] / size
     v = 1 - v
-    mottle, fine = noise(rng, size, 30, 7), noise(rng, size, 3, 3)
+    mottle = noise(rng, size, 30, 7)
+    fine = noise(rng, size, 3, 3)
+    blue = [0.03, 0.07, 0.27]
+    rust = [0.42, 0.10, 0.03]
+    teal = [0.03, 0.25, 0.22]
+
     color = mix([0.55, 0.50, 0.38], [0.66, 0.62, 0.5], step(mottle, 0, 0.5))
-    blue, rust, teal = [0.03, 0.07, 0.27], [0.42, 0.10, 0.03], [0.03, 0.25, 0.22]
     zig = np.abs((u * 14) % 1 - 0.5) * 2
     color = mix(color, blue, step(0.028 - np.abs(v - 0.36 - 0.05 * zig), 0, 0.0015))
     color = mix(color, teal, step(0.012 - np.abs(v - 0.30 - 0.05 * zig), 0, 0.0015))
@@ -139,10 +146,10 @@ def pot_maps(rng, size=2048):
     dots = np.hypot(((u * 40) % 1 - 0.5), ((v - 0.66) * 60))
     color = mix(color, teal, step(0.3 - dots, 0, 0.03))
     color = color * np.exp(0.10 * mottle + 0.05 * fine)[..., None]
-    color = mix(
-        color, [0.16, 0.10, 0.06], step(noise(rng, size, 7, 4), 2.1, 0.1) * 0.8
-    )  # chips and specks
+    chips = step(noise(rng, size, 7, 4), 2.1, 0.1) * 0.8
+    color = mix(color, [0.16, 0.10, 0.06], chips)
     rough = np.clip(0.26 + 0.03 * mottle, 0.15, 0.5)
+
     band = step(v, 0.165, 0.001) * step(-v, -0.255, 0.001)
     patina = step(noise(rng, size, 20, 6), 0.9, 0.3)
     bronze = (
@@ -151,14 +158,13 @@ def pot_maps(rng, size=2048):
     color = mix(color, bronze, band)
     rough = rough * (1 - band) + band * np.clip(0.32 + 0.25 * patina, 0, 1)
     metallic = band * (1 - 0.6 * patina)
+
     soil = step(v, 0.835, 0.002)
     earth = mix([0.03, 0.02, 0.012], [0.13, 0.09, 0.055], step(noise(rng, size, 12, 6), 0, 0.6))
     earth = mix(earth, [0.45, 0.43, 0.4], step(noise(rng, size, 5, 2), 1.8, 0.1))
-    color, rough, metallic = (
-        mix(color, earth, soil),
-        rough * (1 - soil) + 0.92 * soil,
-        metallic * (1 - soil),
-    )
+    color = mix(color, earth, soil)
+    rough = rough * (1 - soil) + 0.92 * soil
+    metallic = metallic * (1 - soil)
     return np.clip(color, 0.01, 0.9), rough, metallic
 
 
@@ -460,11 +466,17 @@ def photograph(linear: np.ndarray, rng) -> Image.Image:
 
 
 def exif() -> Image.Exif:
+    """What the rendered camera says of itself."""
     tags = Image.Exif()
-    tags[0x010F], tags[0x0110] = "Heliograph", "Rendered camera"
+    tags[0x010F] = "Heliograph"  # make
+    tags[0x0110] = "Rendered camera"  # model
+
     ifd = tags.get_ifd(0x8769)
-    ifd[0x829A], ifd[0x829D], ifd[0x8827] = 1 / 125, 8.0, 100
-    ifd[0x920A], ifd[0xA405] = FOCAL_35, int(FOCAL_35)
+    ifd[0x829A] = 1 / 125  # exposure time in seconds
+    ifd[0x829D] = 8.0  # f-number
+    ifd[0x8827] = 100  # ISO
+    ifd[0x920A] = FOCAL_35
+    ifd[0xA405] = int(FOCAL_35)  # on 35 mm film
     return tags
 
 
@@ -485,15 +497,10 @@ def render_photos(scene, poses, exposure: float, out: Path, spp: int, seed: int)
     integrator = mi.load_dict({"type": "path", "max_depth": 4})
     rng = np.random.default_rng(seed)
     for k, m in enumerate(progress(poses, "photos")):
-        linear = (
-            np.array(
-                mi.render(scene, sensor=sensor(m), integrator=integrator, spp=spp, seed=seed + k)
-            )
-            * exposure
-        )
-        photograph(linear, rng).save(
-            out / "images" / f"garden_{k:03d}.jpg", quality=87, exif=exif()
-        )
+        camera = sensor(m)
+        rendered = mi.render(scene, sensor=camera, integrator=integrator, spp=spp, seed=seed + k)
+        photo = photograph(np.array(rendered) * exposure, rng)
+        photo.save(out / "images" / f"garden_{k:03d}.jpg", quality=87, exif=exif())
 
 
 def lookup(part: Part, name: str, uv: np.ndarray) -> np.ndarray:
@@ -552,11 +559,9 @@ def render_truth(parts, env, poses, out: Path, spp: int) -> None:
     """Masks of every fourth view; maps at half size for four views, and the same views under
     another light.
     """
-    objects, everything, full = (
-        build_scene(parts[:3], None),
-        build_scene(parts, None),
-        build_scene(parts, env),
-    )
+    objects = build_scene(parts[:3], None)
+    everything = build_scene(parts, None)
+    full = build_scene(parts, env)
     integrator = mi.load_dict({"type": "path", "max_depth": 4})
     for k in progress(range(0, len(poses), 4), "masks"):
         _, mask = trace_object(objects, everything, sensor(poses[k]))
@@ -617,9 +622,12 @@ def write_facts(parts, poses, exposure: float, out: Path) -> None:
         "exposure": round(exposure, 4),
         "focal_35mm": FOCAL_35,
         "fx_px": FOCAL_35 / 36 * WIDTH,
-        "envmap": "sky and sun times exposure; table, lawn and hedge are geometry and not part of it",
-        "maps": "linear, mean over the pixel, 0 where the object is not visible; principled BSDF, specular 0.5",
-        "relight": "whole scene (with table, lawn and hedge) under relight/evening.exr, object pixels only",
+        "envmap": "sky and sun times exposure; "
+        "table, lawn and hedge are geometry and not part of it",
+        "maps": "linear, mean over the pixel, 0 where the object is not visible; "
+        "principled BSDF, specular 0.5",
+        "relight": "whole scene (with table, lawn and hedge) under relight/evening.exr, "
+        "object pixels only",
     }
     (out / "truth" / "facts.json").write_text(json.dumps(facts, indent=1) + "\n")
 
@@ -651,12 +659,13 @@ def main() -> None:
         "truth/relight/evening",
     ):
         (args.out / name).mkdir(parents=True, exist_ok=True)
-    parts, poses = build_parts(args.seed), cameras(args.seed)
+
+    parts = build_parts(args.seed)
+    poses = cameras(args.seed)
     if args.views:
-        poses = [
-            poses[k]
-            for k in np.unique(np.linspace(0, len(poses) - 1, args.views).round().astype(int))
-        ]
+        spread_out = np.linspace(0, len(poses) - 1, args.views).round().astype(int)
+        poses = [poses[k] for k in np.unique(spread_out)]
+
     env = sky(np.random.default_rng(args.seed + 1))
     scene = build_scene(parts, env)
     exposure = find_exposure(scene, poses)

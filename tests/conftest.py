@@ -5,7 +5,8 @@ Every test belongs to one tier, and its marker is set here:
 
     dag     in tests/dag: whole stages as processes, through the workflow
     heavy   in tests/heavy: minutes each; the only tier that a plain `pytest` leaves out
-    slow    marked `slow` by hand: seconds each, because what they test is a whole chain
+    slow    marked `slow` by hand, or in need of the posterior's scene (the fixture `toy`): seconds
+            each, because what they test is a whole chain
     unit    all others: `pytest -m unit`
 """
 
@@ -24,12 +25,13 @@ TESTS = Path(__file__).resolve().parent
 COLLECTED = pytest.StashKey[list]()  # all tests found, those left out by -m too
 
 
-def tier_of(path: Path, marks: set[str]) -> str:
-    """Tier of a test in the file `path` with these markers set by hand. ValueError where the two
-    contradict each other.
+def tier_of(path: Path, marks: set[str], fixtures=()) -> str:
+    """Tier of a test in the file `path` with these markers set by hand and these fixtures.
+    ValueError where the markers contradict the place.
     """
     folder = path.relative_to(TESTS).parts[0]
-    tier = folder if folder in ("dag", "heavy") else "slow" if "slow" in marks else "unit"
+    slow = "slow" in marks or "toy" in fixtures
+    tier = folder if folder in ("dag", "heavy") else "slow" if slow else "unit"
 
     others = marks & {"unit", "slow", "dag", "heavy"} - {tier}
     if others:
@@ -42,7 +44,7 @@ def pytest_collection_modifyitems(config, items):
     """Mark every test with its tier, before -m selects."""
     for item in items:
         marks = {mark.name for mark in item.iter_markers()}
-        item.add_marker(tier_of(item.path, marks))
+        item.add_marker(tier_of(item.path, marks, item.fixturenames))
     config.stash[COLLECTED] = list(items)
 
 

@@ -23,17 +23,18 @@ def test_a_plain_run_leaves_out_the_heavy_tests_only(pytestconfig):
 
 
 @pytest.mark.parametrize(
-    "place, marks, tier",
+    "place, marks, fixtures, tier",
     [
-        ("render/test_a.py", set(), "unit"),
-        ("test_a.py", {"parametrize"}, "unit"),
-        ("posterior/test_a.py", {"slow"}, "slow"),
-        ("dag/test_a.py", set(), "dag"),
-        ("heavy/test_a.py", {"heavy"}, "heavy"),
+        ("render/test_a.py", set(), [], "unit"),
+        ("test_a.py", {"parametrize"}, ["ball"], "unit"),
+        ("posterior/test_a.py", {"slow"}, [], "slow"),
+        ("posterior/test_a.py", set(), ["problem", "toy"], "slow"),
+        ("dag/test_a.py", set(), [], "dag"),
+        ("heavy/test_a.py", {"heavy"}, ["toy"], "heavy"),
     ],
 )
-def test_the_place_and_the_mark_slow_decide(place, marks, tier):
-    assert tier_of(TESTS / place, marks) == tier
+def test_the_place_the_mark_slow_and_the_scene_decide(place, marks, fixtures, tier):
+    assert tier_of(TESTS / place, marks, fixtures) == tier
 
 
 @pytest.mark.parametrize(

@@ -35,12 +35,12 @@ def load_prior(name: str) -> Prior:
 
 
 def load_gaussian(name: str) -> GaussianPrior:
-    """As `load_prior`, of a Gaussian prior. Raises InputError for any other."""
+    """As `load_prior`, for a Gaussian prior. Raises InputError where it is another one."""
     prior = load_prior(name)
     if not isinstance(prior, GaussianPrior):
         raise InputError(
-            "not a Gaussian prior",
+            "this prior is a network, a Gaussian prior is asked for",
             find_prior(name),
-            "name a Gaussian one, such as gaussian_small, as sample.search_prior",
+            "name one like gaussian_small, or fit one: pipeline.prior.training.fit_gaussian",
         )
     return prior

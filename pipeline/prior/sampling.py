@@ -9,7 +9,6 @@ import argparse
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import cast
 
 import cv2
 import numpy as np
@@ -19,7 +18,7 @@ from pipeline.base.errors import run_stage
 from pipeline.base.images import in_rows, to_srgb8, write_png
 from pipeline.base.progress import Bar
 from pipeline.prior.gaussian import GaussianPrior, translated
-from pipeline.prior.load import load_prior
+from pipeline.prior.load import load_gaussian, load_prior
 from pipeline.prior.protocol import DenoisingPrior, Prior
 
 # noise level that a draw starts from: the largest modes of natural light, of twice that deviation,
@@ -143,7 +142,7 @@ def draw(
     """
     noise = torch.Generator().manual_seed(seed)
     rng = np.random.default_rng(seed)
-    gaussian = cast(GaussianPrior, load_prior(start))
+    gaussian = load_gaussian(start)
     labels: list[str | None] = [label] * count
     if prior.shares and not label:
         labels = [*classes(prior.shares, count, rng)]

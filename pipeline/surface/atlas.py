@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numba import njit
 
 from pipeline.base.config import Atlas
 from pipeline.base.errors import InputError
@@ -16,19 +17,38 @@ ASK = 0.82
 
 
 def rasterize(uv: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
-    """How many triangles cover each texel centre (size, size); row 0 is v = 1."""
+    """How many triangles cover each texel centre, (size, size) int32; row 0 is v = 1.
+
+    uv: (n, 2), v up; faces: (m, 3).
+    """
     corners = (uv * [1, -1] + [0, 1])[faces] * size
+    return _count(np.ascontiguousarray(corners), size)
+
+
+@njit(cache=False)
+def _count(corners, size):
+    """The loop of `rasterize`: corners (m, 3, 2) in texels, x right and y down. Letters: a, b, c a
+    triangle's corners; s, t barycentric coordinates of b and c.
+    """
     count = np.zeros((size, size), np.int32)
-    low = np.clip(np.floor(corners.min(1)).astype(int), 0, size)
-    high = np.clip(np.ceil(corners.max(1)).astype(int), 0, size)
-    for (a, b, c), (x0, y0), (x1, y1) in zip(corners, low, high):
+    for k in range(len(corners)):
+        a, b, c = corners[k]
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if x1 <= x0 or y1 <= y0 or abs(area) < 1e-12:
+        if abs(area) < 1e-12:
             continue
-        x, y = np.meshgrid(np.arange(x0, x1) + 0.5, np.arange(y0, y1) + 0.5)
-        s = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
-        t = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-        count[y0:y1, x0:x1] += (s > 1e-6) & (t > 1e-6) & (s + t < 1 - 1e-6)
+
+        left = max(int(np.floor(min(a[0], b[0], c[0]))), 0)
+        right = min(int(np.ceil(max(a[0], b[0], c[0]))), size)
+        top = max(int(np.floor(min(a[1], b[1], c[1]))), 0)
+        bottom = min(int(np.ceil(max(a[1], b[1], c[1]))), size)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                x = column + 0.5
+                y = row + 0.5
+                s = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+                t = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+                if s > 1e-6 and t > 1e-6 and s + t < 1 - 1e-6:
+                    count[row, column] += 1
     return count
 
 

@@ -208,13 +208,12 @@ def test_an_edited_comment_plans_no_job_and_edited_code_does(project, code):
     assert jobs(project, *exported("toy"), code=code) == {"report"}
 
 
-@pytest.mark.parametrize("name", ["prior.safetensors", "search.safetensors"])
-def test_replaced_weights_rerun_samples_and_what_follows(project, name):
-    before = (project / name).read_bytes()
-    other = "gaussian_small" if name == "search.safetensors" else "prior_small"
-    shutil.copyfile(ROOT / "weights" / f"{other}.safetensors", project / name)
+def test_replaced_weights_rerun_samples_and_what_follows(project):
+    weights = project / "prior.safetensors"
+    before = weights.read_bytes()
+    shutil.copyfile(ROOT / "weights" / "prior_small.safetensors", weights)
     assert jobs(project, *exported("toy")) == DRAWS
-    (project / name).write_bytes(before)
+    weights.write_bytes(before)
 
 
 def test_a_replaced_mask_reruns_from_the_capture_on(project):
@@ -324,7 +323,7 @@ def test_a_killed_run_continues(project):
     assert jobs(project, target, "--config", "fit={steps: 8}") == set()
 
 
-@pytest.mark.parametrize("name", ["-rf", ".hidden", "a{b}", "back\\slash"])
+@pytest.mark.parametrize("name", ["-rf", "a{b}"])
 def test_names_that_cannot_be_are_refused(project, name):
     done = snakemake(project, "-n", "--", f"exports/{name}.usda")
     words = done.stdout + done.stderr

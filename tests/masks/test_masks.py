@@ -38,6 +38,7 @@ def table(tmp_path, ring):
     return tmp_path, rig, truth
 
 
+@pytest.mark.slow
 def test_object_is_told_from_its_table(table, tmp_path):
     folder, rig, truth = table
     out = tmp_path / "out"
@@ -49,7 +50,7 @@ def test_object_is_told_from_its_table(table, tmp_path):
         recall.append((mask & truth[v.name]).sum() / truth[v.name].sum())
         overlap.append((mask & truth[v.name]).sum() / (mask | truth[v.name]).sum())
     # Nothing of the object is lost. Ground at its foot that no view sees bare may stay: stereo
-    # takes it off later (pipeline.surface.surface_masks).
+    # takes it off later.
     assert min(recall) > 0.97
     assert np.mean(overlap) > 0.8
 

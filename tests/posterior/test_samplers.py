@@ -95,7 +95,6 @@ def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):
         assert fingerprint(gaussian_sweeps(resumed, other, saved, 1)) == fingerprint(straight)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", list(SAMPLERS))
 def test_sampler_explains_the_photos_from_its_seed(problem, start, name):
     """A draw in between must not matter, another seed must, and the median pixel is right to 15 %

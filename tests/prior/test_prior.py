@@ -93,9 +93,6 @@ def test_wrong_weights_are_named(tmp_path):
         find_prior("prior_smal")
     with pytest.raises(InputError, match="no class"):
         load_prior("prior_small").label_index("seaside")
-    with pytest.raises(InputError, match="not a Gaussian prior"):
-        load_gaussian("prior_small")
-    assert load_gaussian("gaussian_small").height == 32
 
 
 def test_classes_come_in_their_shares():
@@ -150,3 +147,10 @@ def test_guidance_leads_away_from_the_unlabelled_mean():
         assert torch.equal(
             Guided(prior).denoise(x, sigma_, "class"), prior.denoise(x, sigma_, "class")
         )
+
+
+def test_a_network_is_no_gaussian_prior():
+    """`sample.search_prior` naming a network ends in a message that says what to name instead."""
+    assert load_gaussian("gaussian_tiny").height == 16
+    with pytest.raises(InputError, match="gaussian_small"):
+        load_gaussian("prior_tiny")

@@ -68,6 +68,7 @@ def test_white_furnace(renderer):
     assert 0.95 < renderer.radiance(*rays_at_ball(20000), 1).mean() < 1.08
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "part, at",
     [("light", (2, 5, 1)), ("base_color", (4, 4, 0)), ("roughness", (4, 4)), ("metallic", (4, 4))],

@@ -9,7 +9,7 @@ from pipeline.geometry.cameras import Rig
 from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh, vertex_normals
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import agreement, hull_points
-from pipeline.surface.atlas import judge, make_atlas
+from pipeline.surface.atlas import judge, make_atlas, rasterize
 from pipeline.surface.clean import facts, largest_solid, signed_volume, simplify, to_mesh
 from pipeline.surface.field import hull_of
 from pipeline.surface.make import coarse_hull, fuse, given_mesh
@@ -32,6 +32,7 @@ def sphere(ring):
     return Rig(views, np.zeros(3), 0.8, "transforms.json"), silhouettes(views)
 
 
+@pytest.mark.slow
 def test_hull_of_a_sphere_is_the_sphere(sphere):
     rig, masks = sphere
     points, margin = coarse_hull(rig, masks)
@@ -95,6 +96,7 @@ def test_stereo_depth_of_a_textured_wall(ring):
         assert np.median(np.abs(z)) < 0.02
 
 
+@pytest.mark.slow
 def test_fusing_a_nearer_surface_carves_the_hull(sphere):
     """Depth maps of a smaller ball inside the hull of a larger one."""
     rig, masks = sphere
@@ -189,3 +191,19 @@ def test_wobble_of_normals_is_that_of_their_noise():
 
 def test_vertex_normals_of_a_triangle():
     assert np.allclose(vertex_normals(np.eye(3)[[0, 1, 2]], np.array([[0, 1, 2]])), 1 / np.sqrt(3))
+
+
+def test_covering_triangles_are_counted_texel_by_texel():
+    """Against the three edges' signs at every texel centre, some triangles beyond the square."""
+    rng = np.random.default_rng(0)
+    uv = rng.uniform(-0.3, 1.3, (60, 2))
+    faces = rng.integers(0, 60, (40, 3))
+    u, v = np.meshgrid((np.arange(32) + 0.5) / 32, 1 - (np.arange(32) + 0.5) / 32)
+    count = np.zeros((32, 32), int)
+    for corners in uv[faces]:
+        ends = np.roll(corners, -1, axis=0)
+        sides = [
+            (q[0] - p[0]) * (v - p[1]) - (q[1] - p[1]) * (u - p[0]) for p, q in zip(corners, ends)
+        ]
+        count += (np.min(sides, 0) > 0) | (np.max(sides, 0) < 0)
+    assert (rasterize(uv, faces, 32) == count).all() and count.max() > 3

@@ -242,24 +242,32 @@ def draw_gauge(
     shift, scale, taken = np.zeros(3), log_scale, 0
     now = log_density(materials, log_scale, shift)
     for k in range(steps):
-        step = rng.normal() * 10 ** rng.uniform(-2.5, -0.3)
-        color, new_scale, new_shift = materials.color.copy(), scale, shift.copy()
-        if k % 2:
-            new_scale = scale + step
-            color = materials.color * np.exp(-step)
-        elif k % 4 == 0:
-            c = int(rng.integers(3))
-            new_shift[c] += step
-            color[:, c] = materials.color[:, c] * np.exp(-step)
-        else:  # scale against the code's own mean: no row changes
-            new_scale, new_shift = scale + step, shift - step
-
-        new = replace(materials, color=color)
+        new, new_scale, new_shift = propose_gauge(materials, scale, shift, k, rng)
         then = log_density(new, new_scale, new_shift)
         if np.log(rng.random()) < then - now:
             materials, scale, shift, now = new, new_scale, new_shift, then
             taken += 1
     return materials, scale, GaugeInfo(taken, shift)
+
+
+def propose_gauge(
+    materials: RegionMaterials, scale: float, shift: np.ndarray, k: int, rng: np.random.Generator
+) -> tuple[RegionMaterials, float, np.ndarray]:
+    """The k-th move of `draw_gauge`, symmetric: log scale against all colours, one channel's shift
+    against its colours, or log scale against the shift, by which no row changes.
+    """
+    step = rng.normal() * 10 ** rng.uniform(-2.5, -0.3)
+    if k % 2:
+        color = materials.color * np.exp(-step)
+        return replace(materials, color=color), scale + step, shift
+    if k % 4:
+        return materials, scale + step, shift - step
+
+    channel = int(rng.integers(3))
+    color, moved = materials.color.copy(), shift.copy()
+    moved[channel] += step
+    color[:, channel] = materials.color[:, channel] * np.exp(-step)
+    return replace(materials, color=color), scale, moved
 
 
 def gauge_kernel(
@@ -309,8 +317,8 @@ def material_kernel(
     def kernel(rng: Randomness, state: State) -> tuple[State, MaterialInfo]:
         light = decoder.light(state.code, state.log_scale)
         rows = RowLikelihood.of(mixer, state)
-        seen = mixer.data.lobes.apply(light, rows.nodes(light))
         model = rows.model
+        seen = mixer.data.lobes.apply(light, rows.nodes(light))
 
         materials, color_step, taken = draw_regions(
             model,
@@ -326,27 +334,15 @@ def material_kernel(
         if proposal is propose_all:
             offsets = draw_offsets(model, seen, materials, offsets, rng.numpy)
 
-        even = model.row_by_row()
+        even, few, now = model.row_by_row(), steps // 3, state.spread_step
         materials, spread_step, _ = draw_regions(
-            even,
-            seen,
-            materials,
-            offsets,
-            steps // 3,
-            rng.numpy,
-            state.spread_step,
-            propose_spread,
+            even, seen, materials, offsets, few, rng.numpy, now, propose_spread
         )
         drawn = RowLikelihood.at(mixer, state.noise, materials, offsets)
         noise = draw_row_noise(rng, drawn, even, light)
-        new = replace(
-            state,
-            materials=materials,
-            offsets=offsets,
-            noise=replace(noise, design_effect=state.noise.design_effect),
-            color_step=color_step,
-            spread_step=spread_step,
-        )
+        noise = replace(noise, design_effect=state.noise.design_effect)
+        moved = replace(state, materials=materials, offsets=offsets, noise=noise)
+        new = replace(moved, color_step=color_step, spread_step=spread_step)
         return new, MaterialInfo(taken, noise.scale)
 
     return kernel

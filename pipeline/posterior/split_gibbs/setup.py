@@ -29,7 +29,7 @@ from pipeline.prior.load import load_gaussian
 from pipeline.prior.protocol import Prior
 from pipeline.prior.value_code import scale_of
 from pipeline.render.renderer import Explanation
-from pipeline.render.rows import choose_rows
+from pipeline.render.rows import Rows, choose_rows
 from pipeline.render.transport import Transport
 
 # pieces of surface that err together; shape of their gamma weights: half the variance of a full
@@ -122,45 +122,61 @@ def block_weights(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return weight / weight.mean()
 
 
+def operator(
+    problem: Problem, rows: Rows, settings: Sample, seed: int
+) -> tuple[Transport, LobeTable]:
+    """T for these rows, and its lobes at every roughness that the mesh's normals can show."""
+    transport = Transport(
+        problem.renderer.scene,
+        problem.renderer.mesh,
+        problem.observations,
+        rows,
+        settings.light,
+        round(NODES * len(rows.starts)),
+        seed,
+    )
+    roughness_min = max(problem.roughness_min, sharpest(problem.normal_error))
+    return transport, LobeTable.trace(transport, roughness_min, seed)
+
+
+def row_data(
+    rng: Randomness,
+    problem: Problem,
+    transport: Transport,
+    lobes: LobeTable,
+    region: np.ndarray,
+) -> RowData:
+    """The rows of `transport` as the photos show them, with this draw's weights of points."""
+    rows, observations = transport.rows, problem.observations
+    patch = rows.patch
+    bounces = problem.renderer.max_depth - 1
+    plain = RowData.plain(transport, lobes, patch @ observations.rgb, region, bounces)
+    return replace(
+        plain,
+        clipped=patch @ observations.clipped > 0,
+        point_weight=block_weights(transport.position[rows.starts], rng.numpy),
+        ceiling=ALBEDO_MAX / contrast(rows, observations.rgb),
+    )
+
+
 def set_up(
     problem: Problem, prior: Prior, fit: Explanation, settings: Sample, seed: int
 ) -> tuple[Randomness, Model, State]:
     """Step 1: random numbers, model and first state of draw `seed`; `fit` is the point estimate."""
     rng = Randomness(*generators(settings, seed))
-    observations = problem.observations
+    observations, scene = problem.observations, problem.renderer.scene
     own = settings.seed + 1000 * seed
 
-    rows = choose_rows(observations, problem.renderer.scene, settings.points, settings.views, own)
-    starts = rows.starts
+    rows = choose_rows(observations, scene, settings.points, settings.views, own)
     uv = observations.uv[rows.observation]
+    uv_points = uv[rows.starts]
 
-    base_color = gather(fit.base_color, uv[starts])
-    explained, grouping = rng.numpy.uniform(*EXPLAINED), int(rng.numpy.integers(2**31))
-    region, centers = group(base_color, explained, grouping)
-
-    transport = Transport(
-        problem.renderer.scene,
-        problem.renderer.mesh,
-        observations,
-        rows,
-        settings.light,
-        round(NODES * len(starts)),
-        own,
+    explained = rng.numpy.uniform(*EXPLAINED)
+    region, centers = group(
+        gather(fit.base_color, uv_points), explained, int(rng.numpy.integers(2**31))
     )
-    roughness_min = max(problem.roughness_min, sharpest(problem.normal_error))
-    lobes = LobeTable.trace(transport, roughness_min, own)
-    data = replace(
-        RowData.plain(
-            transport,
-            lobes,
-            rows.patch @ observations.rgb,
-            region,
-            problem.renderer.max_depth - 1,
-        ),
-        clipped=rows.patch @ observations.clipped > 0,
-        point_weight=block_weights(transport.position[starts], rng.numpy),
-        ceiling=ALBEDO_MAX / contrast(rows, observations.rgb),
-    )
+    transport, lobes = operator(problem, rows, settings, own)
+    data = row_data(rng, problem, transport, lobes, region)
 
     model = Model(
         data=data,
@@ -173,7 +189,7 @@ def set_up(
         uv=uv,
         region_map=texel_regions(fit.base_color, centers, settings.texture),
     )
-    return rng, model, first_state(model, start_materials(fit, uv[starts], region, lobes))
+    return rng, model, first_state(model, start_materials(fit, uv_points, region, lobes))
 
 
 def first_state(model: Model, materials: RegionMaterials) -> State:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from scipy import stats
 
 from pipeline.posterior.split_gibbs.gaussian_approximation import (
     Curvature,
@@ -238,6 +239,22 @@ class Bright(LightLikelihood):
         return (self.y - z.exp()) / (0.3 * self.y)
 
 
+def test_a_perturbed_peak_is_a_draw_where_the_likelihood_is_quadratic():
+    """Without any slice after it: mean and whole covariance of z | x in closed form."""
+    noise, n, rho = torch.Generator().manual_seed(0), 1500, 0.7
+    J, y = torch.randn(8, 12, generator=noise), torch.randn(8, generator=noise)
+    x = torch.randn(12, generator=noise)
+    covariance = torch.linalg.inv((J.T @ J + torch.eye(12) / rho**2).double())
+    mean = covariance @ (J.T @ y + x / rho**2).double()
+
+    likelihood, about = Linear(J.expand(n, 8, 12), y.expand(n, 8)), x.expand(n, 12)
+    both = Randomness(np.random.default_rng(0), noise)
+    draws, _ = draw_light(both, likelihood, about, 0 * about, rho, 0)
+    white = whitened(draws, mean, covariance)
+    assert n * float(white.mean(0).square().sum()) < stats.chi2.ppf(0.999, 12)
+    assert_unit_covariance(white)
+
+
 def test_fresh_draws_have_the_posteriors_mean_and_spread():
     """Where the likelihood is not quadratic, begun far from the peak every time, against sums over
     a grid: to .2 deviations.
@@ -313,6 +330,7 @@ class TwoModes:
         return (odds * mean[1] + (1 - odds) * mean[0])[:, None, None, None].expand_as(x).clone()
 
 
+@pytest.mark.slow
 def test_both_modes_with_their_weights():
     """A likelihood that prefers the upper mode 7 : 3 and says nothing else; weights within binomial
     error. Its expansion says nothing at all, so only the slices bring the weights about.

@@ -84,13 +84,13 @@ def figures(draws: list[RegionMaterials], edges: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_moves_leave_the_prior_as_it_is():
-    """Every chain starts with a draw of the prior, and still is one after 30 steps of wide moves:
+    """Every chain starts with a draw of the prior, and still is one after 20 steps of wide moves:
     to four deviations of each figure.
     """
     rng = np.random.default_rng(0)
     many, first = from_the_prior(40_000, rng), from_the_prior(1250, rng)
     seen, offsets, step = np.zeros((8, 4, 2, 3)), np.zeros((2, 2), int), np.full(2, 0.5)
-    last = [draw_regions(SILENT, seen, t, offsets, 30, rng, step)[0] for t in first]
+    last = [draw_regions(SILENT, seen, t, offsets, 20, rng, step)[0] for t in first]
     moved = np.mean([np.abs(a.color - b.color).max() > 0.01 for a, b in zip(first, last)])
     assert moved > 0.9 and (step == 0.5).all()
 

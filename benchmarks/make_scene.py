@@ -1,0 +1,297 @@
+"""Render a scene folder with known truth from a textured asset and a lat-long light.
+
+python -m benchmarks.make_scene ASSET LIGHT.exr OUT [--relight A.exr B.exr] [--size 480] \\
+    [--spp 64] [--views 16] [--test 4] [--seed 0]
+
+ASSET is a folder with mesh.ply (Z-up, v up), base_color.png (sRGB), roughness.png and metallic.png.
+OUT gets images/, masks/, transforms.json, transforms_test.json and mesh.ply as docs/scene_folder.md
+describes them (Z-up), and truth/, which no stage reads: envmap.exr, the light; albedo/, roughness/
+and metallic/ of every view; relight/, the test views under the same light (<view>_self.exr) and
+under those of --relight. The photos are exposed so that 3 % of the object is near clipping; truth/
+has the lights at that exposure.
+
+Frame of what is computed here: Y-up, the object at the origin.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from pipeline.base.errors import InputError, run_stage
+from pipeline.base.files import stage_folder
+from pipeline.base.images import to_srgb8
+from pipeline.base.progress import progress
+from pipeline.base.runtime import mitsuba as mi
+from pipeline.geometry.cameras import Y_FROM_Z_UP
+
+ASSET_FILES = ("mesh.ply", "base_color.png", "roughness.png", "metallic.png")
+FIELD_OF_VIEW = 40.0  # degrees
+DISTANCE = 3.3  # of the cameras from the origin
+GOLDEN_ANGLE = 2.399963
+MAX_DEPTH = 6  # path vertices after the camera
+BRIGHT = 0.85  # what the object's 97th percentile is exposed to
+PROBE_SIZE = 96  # pixels along a side of the pictures that exposure is measured on
+PROBE_SPP = 32
+MASK_SPP = 16
+
+
+@dataclass
+class Options:
+    """size: pixels along a side; spp: paths per pixel; views, test: photos to fit, and to score."""
+
+    size: int = 480
+    spp: int = 64
+    views: int = 16
+    test: int = 4
+    seed: int = 0
+
+
+def camera_positions(
+    count: int, seed: int, lowest: float = -10.0, highest: float = 65.0
+) -> np.ndarray:
+    """Camera centres (count, 3), spread evenly between two elevations in degrees."""
+    rng = np.random.default_rng(seed)
+    low, high = np.sin(np.radians([lowest, highest]))
+    y = low + (high - low) * (np.arange(count) + 0.5) / count
+    azimuth = GOLDEN_ANGLE * np.arange(count) + rng.uniform(0, 2 * np.pi)
+    across = np.sqrt(1 - y**2)
+    return DISTANCE * np.stack([across * np.sin(azimuth), y, across * np.cos(azimuth)], -1)
+
+
+def sensor(position: np.ndarray, size: int):
+    """Mitsuba's camera at `position` (3,), looking at the origin."""
+    look = mi.ScalarTransform4f().look_at(origin=position.tolist(), target=[0, 0, 0], up=[0, 1, 0])
+    film = {
+        "type": "hdrfilm",
+        "width": size,
+        "height": size,
+        "rfilter": {"type": "box"},
+        "pixel_format": "rgb",
+    }
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": FIELD_OF_VIEW,
+            "fov_axis": "x",
+            "to_world": look,
+            "film": film,
+            "sampler": {"type": "independent"},
+        }
+    )
+
+
+def transform_matrix(position: np.ndarray) -> list:
+    """Camera-to-world (4, 4) of transforms.json: OpenGL axes, Z-up world."""
+    backward = position / np.linalg.norm(position)
+    right = np.cross([0, 1, 0], backward)
+    right /= np.linalg.norm(right)
+
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([right, np.cross(backward, right), backward, position], 1)
+    return (Y_FROM_Z_UP.T @ matrix).tolist()
+
+
+def read_light(path: Path) -> np.ndarray:
+    """Radiance (h, w, 3). Raises InputError when the file is missing or unreadable."""
+    if not path.is_file():
+        raise InputError("there is no such light", path, "give a lat-long .exr")
+    try:
+        bitmap = mi.Bitmap(str(path))
+    except RuntimeError as error:
+        raise InputError(f"not a readable picture ({error})", path, "replace the file") from error
+    return np.array(bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
+
+
+def write_exr(path: Path, pixels: np.ndarray) -> None:
+    """Write (h, w, channels) as float32, by Mitsuba."""
+    mi.Bitmap(pixels.astype(np.float32)).write(str(path))
+
+
+def check_asset(asset: Path) -> None:
+    """Raises InputError naming the first file that an asset lacks."""
+    for name in ASSET_FILES:
+        if not (asset / name).is_file():
+            raise InputError(
+                "the asset lacks this file", asset / name, f"put {', '.join(ASSET_FILES)} there"
+            )
+
+
+def load_scene(asset: Path, light: np.ndarray):
+    """Mitsuba's scene of the asset, turned to Y-up, in a light (h, w, 3)."""
+
+    def texture(name: str, raw: bool) -> dict:
+        return {"type": "bitmap", "filename": str(asset / name), "raw": raw}
+
+    material = {
+        "type": "principled",
+        "base_color": texture("base_color.png", False),
+        "roughness": texture("roughness.png", True),
+        "metallic": texture("metallic.png", True),
+        "specular": 0.5,
+    }
+    mesh = {
+        "type": "ply",
+        "filename": str(asset / "mesh.ply"),
+        "flip_tex_coords": True,
+        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90),
+        "bsdf": {"type": "twosided", "b": material},
+    }
+    env = {"type": "envmap", "bitmap": mi.Bitmap(light.astype(np.float32))}
+    return mi.load_dict({"type": "scene", "env": env, "obj": mesh})
+
+
+def render(scene, camera, spp: int, seed: int = 0) -> np.ndarray:
+    """Path-traced picture (h, w, 3) on black."""
+    paths = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "hide_emitters": True})
+    return np.array(mi.render(scene, sensor=camera, integrator=paths, spp=spp, seed=seed))
+
+
+def exposed(asset: Path, light: np.ndarray, positions: np.ndarray):
+    """The light at a photographer's exposure, the scene in it, and the factor. positions: of the
+    cameras that exposure is measured with.
+    """
+    scene = load_scene(asset, light)
+    probes = [render(scene, sensor(p, PROBE_SIZE), PROBE_SPP) for p in positions]
+    shown = np.concatenate([probe[probe.sum(-1) > 0] for probe in probes])
+    factor = BRIGHT / np.percentile(shown, 97)
+
+    light = light * factor
+    return light, load_scene(asset, light), float(factor)
+
+
+def surface_points(scene, camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every pixel: texture coordinates of one point that it shows (h, w, 2), whether it shows
+    one (h, w), and whether any of many rays through it meets the object (h, w).
+    """
+    aovs = mi.load_dict({"type": "aov", "aovs": "uv:uv,dd:depth"})
+    depth = mi.load_dict({"type": "aov", "aovs": "dd:depth"})
+    one = np.array(mi.render(scene, sensor=camera, integrator=aovs, spp=1))
+    many = np.array(mi.render(scene, sensor=camera, integrator=depth, spp=MASK_SPP))
+
+    uv = np.stack([one[..., 0], 1 - one[..., 1]], -1)  # the mesh was loaded with flipped v
+    return uv, one[..., -1] > 0, many[..., 0] > 0
+
+
+def look_up(path: Path, uv: np.ndarray) -> np.ndarray:
+    """Nearest texel of an 8-bit grey (h, w) or, for base_color.png, linear colour texture."""
+    colored = path.name == "base_color.png"
+    with Image.open(path) as image:
+        texture = np.asarray(image.convert("RGB" if colored else "L"), np.float64) / 255
+    if colored:  # in double precision, unlike base.images: this is the truth
+        texture = np.where(texture <= 0.04045, texture / 12.92, ((texture + 0.055) / 1.055) ** 2.4)
+
+    h, w = texture.shape[:2]
+    column = np.clip(((uv[..., 0] % 1) * w).astype(int), 0, w - 1)
+    row = np.clip(((1 - uv[..., 1] % 1) * h).astype(int), 0, h - 1)
+    return texture[row, column]
+
+
+def write_truth(asset: Path, uv: np.ndarray, hit: np.ndarray, out: Path, name: str) -> None:
+    """Base colour, roughness and metallic of one view under truth/, zero where it shows nothing."""
+    color = look_up(asset / "base_color.png", uv) * hit[..., None]
+    write_exr(out / "truth" / "albedo" / f"{name}.exr", color)
+    for key in ("roughness", "metallic"):
+        value = look_up(asset / f"{key}.png", uv) * hit
+        write_exr(out / "truth" / key / f"{name}.exr", value[..., None])
+
+
+def write_split(
+    split: str, asset: Path, scene, positions: np.ndarray, options: Options, out: Path
+) -> None:
+    """Photos, masks, truth and transforms of the split "train" or "test"."""
+    frames = []
+    for k, position in enumerate(progress(positions, f"{split} views")):
+        name = f"{split}_{k:03d}"
+        camera = sensor(position, options.size)
+        picture = render(scene, camera, options.spp, seed=k + 1000 * options.seed)
+        uv, hit, mask = surface_points(scene, camera)
+
+        Image.fromarray(to_srgb8(picture)).save(out / "images" / f"{name}.png")
+        Image.fromarray((mask * 255).astype(np.uint8)).save(out / "masks" / f"{name}.png")
+        write_truth(asset, uv, hit, out, name)
+        if split == "test":
+            write_exr(out / "truth" / "relight" / f"{name}_self.exr", picture)
+        frames.append(
+            {
+                "file_path": f"images/{name}.png",
+                "mask_path": f"masks/{name}.png",
+                "transform_matrix": transform_matrix(position),
+            }
+        )
+
+    file = "transforms.json" if split == "train" else "transforms_test.json"
+    angle = float(np.radians(FIELD_OF_VIEW))
+    cameras = {"camera_angle_x": angle, "w": options.size, "h": options.size, "frames": frames}
+    (out / file).write_text(json.dumps(cameras, indent=1), encoding="utf-8")
+
+
+def write_relit(
+    asset: Path, light: np.ndarray, name: str, positions: np.ndarray, options: Options, out: Path
+) -> None:
+    """The test views under another light, and that light, under truth/relight/."""
+    light, scene, _ = exposed(asset, light, positions[:1])
+    folder = out / "truth" / "relight" / name
+    folder.mkdir()
+    write_exr(folder.with_suffix(".exr"), light)
+    for k, position in enumerate(progress(positions, f"under {name}")):
+        picture = render(scene, sensor(position, options.size), options.spp)
+        write_exr(folder / f"test_{k:03d}.exr", picture)
+
+
+def make_scene(asset: Path, light: Path, relights: list[Path], options: Options, out: Path) -> dict:
+    """Write the scene folder `out`; returns its name and the exposure factor.
+
+    Raises InputError when a file of the asset or a light is missing, or `out` holds something.
+    """
+    check_asset(asset)
+    radiance = read_light(light)
+    others = {path.stem: read_light(path) for path in relights}
+    if out.exists() and any(out.iterdir()):
+        raise InputError("the folder is not empty", out, "remove it or choose another name")
+
+    train = camera_positions(options.views, options.seed)
+    test = camera_positions(options.test, options.seed + 100, 5, 50)
+    with stage_folder(out) as folder:
+        for name in ("images", "masks"):
+            (folder / name).mkdir()
+        for name in ("albedo", "roughness", "metallic", "relight"):
+            (folder / "truth" / name).mkdir(parents=True)
+
+        radiance, scene, factor = exposed(asset, radiance, train[:4])
+        write_exr(folder / "truth" / "envmap.exr", radiance)
+        write_split("train", asset, scene, train, options, folder)
+        write_split("test", asset, scene, test, options, folder)
+        for name, other in others.items():
+            write_relit(asset, other, name, test, options, folder)
+        shutil.copy(asset / "mesh.ply", folder / "mesh.ply")
+    return {"out": out.name, "scale": factor}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("asset", type=Path)
+    parser.add_argument("light", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--relight", type=Path, nargs="*", default=[])
+    parser.add_argument("--size", type=int, default=480)
+    parser.add_argument("--spp", type=int, default=64)
+    parser.add_argument("--views", type=int, default=16)
+    parser.add_argument("--test", type=int, default=4)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+
+    options = Options(args.size, args.spp, args.views, args.test, args.seed)
+    print(json.dumps(make_scene(args.asset, args.light, args.relight, options, args.out)))
+
+
+if __name__ == "__main__":
+    run_stage(main)
