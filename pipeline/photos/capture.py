@@ -97,8 +97,8 @@ def named_frames(scene: Path, file: Path) -> list[Path]:
 
 
 def photo_name(scene: Path, path: Path) -> str:
-    """Name of a photo below `scene`; only a known image suffix is taken off, so that `frame.001.png` and
-    `frame.002.png` differ.
+    """Name of a photo below `scene`; only a known image suffix is taken off, so that
+    `frame.001.png` and `frame.002.png` differ.
     """
     relative = path.relative_to(scene)
     parts = (relative.with_suffix("") if relative.suffix.lower() in SUFFIXES else relative).parts

@@ -52,20 +52,27 @@ class BestState:
         self.running_mean: float | None = None
         self.loss = np.inf
         self.step = 0
-        self.explanation: Explanation | None = None
+        self._explanation: Explanation | None = None
+
+    @property
+    def explanation(self) -> Explanation:
+        """The best so far. Raises ValueError before the first step is seen."""
+        if self._explanation is None:
+            raise ValueError("no step has been seen yet")
+        return self._explanation
 
     def see(self, step: int, explanation: Explanation, loss: float) -> None:
-        """Take one more step's state; step 0 is kept until a candidate comes."""
-        if step == 0:
+        """Take one more step's state; the first is kept until a candidate comes."""
+        if self.running_mean is None:
             self.running_mean = loss
-            self.explanation = explanation.copy()
+            self._explanation = explanation.copy()
             return
 
         self.running_mean = 0.9 * self.running_mean + 0.1 * loss
         if step >= self.first_candidate and self.running_mean < self.loss:
             self.loss = self.running_mean
             self.step = step
-            self.explanation = explanation.copy()
+            self._explanation = explanation.copy()
 
 
 def start(problem: Problem, texture: int) -> Explanation:

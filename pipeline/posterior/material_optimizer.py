@@ -19,7 +19,12 @@ class MaterialOptimizer:
     fit, guided sampling and refinement move (Eqs. 15, 16 and 17).
     """
 
-    def __init__(self, explanation: Explanation, learning_rate, roughness_min: float):
+    def __init__(
+        self,
+        explanation: Explanation,
+        learning_rate: float | dict[str, float],
+        roughness_min: float,
+    ):
         """learning_rate: one number, or one per name of MAPS."""
         self.values = {name: torch.from_numpy(getattr(explanation, name).copy()) for name in MAPS}
         self.bounds = {
@@ -28,15 +33,15 @@ class MaterialOptimizer:
             "metallic": (0.0, 1.0),
         }
 
-        one_for_all = not isinstance(learning_rate, dict)
-        rates = dict.fromkeys(MAPS, learning_rate) if one_for_all else learning_rate
-        groups = [{"params": [self.values[name]], "lr": rates[name]} for name in MAPS]
+        if not isinstance(learning_rate, dict):
+            learning_rate = dict.fromkeys(MAPS, learning_rate)
+        groups = [{"params": [self.values[name]], "lr": learning_rate[name]} for name in MAPS]
         self.adam = torch.optim.Adam(groups, betas=BETAS)
 
     def step(self, gradient: Gradient) -> None:
         """One step of Adam down the gradient, then back into the valid ranges."""
         for name, value in self.values.items():
-            slope = np.ascontiguousarray(getattr(gradient, name), np.float32)
+            slope: np.ndarray = np.ascontiguousarray(getattr(gradient, name), np.float32)
             if name != "base_color":
                 # photos say little about the fine detail of gloss: move it as a smooth field
                 slope = cv2.GaussianBlur(slope, (0, 0), max(slope.shape[0] / SMOOTH, 0.5))

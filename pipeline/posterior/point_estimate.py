@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pipeline.base.config import Sample
 from pipeline.posterior.problem import Problem
+from pipeline.prior.protocol import Prior
 from pipeline.prior.value_code import scale_of
 from pipeline.render.envmap import resample_area
 from pipeline.render.renderer import Explanation, resize_explanation
 
 
 def point_estimate(
-    problem: Problem, prior, start: Explanation, settings: Sample, seed: int
+    problem: Problem, prior: Prior, start: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
     """The fit `start`, the same for every seed, at `settings.texture` and the prior's light size;
     and the light's scale.

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from pipeline.base.config import Sample
 from pipeline.render.observe import Observations
-from pipeline.render.renderer import Explanation, Gradient, Renderer
+from pipeline.render.renderer import Explanation, Gradient, LossAndSlope, Renderer
 
 SHADE = 0.1  # radiance (photo white = 1) below which errors count absolutely
 ALBEDO_MAX = 0.98  # a brighter base colour would never come to rest in multi-bounce light
@@ -74,12 +75,12 @@ class Problem:
         relative = (radiance - batch.observed) / (batch.observed + SHADE)
         return without_excess(relative, batch)
 
-    def relative_loss(self, batch: PixelBatch):
+    def relative_loss(self, batch: PixelBatch) -> LossAndSlope:
         """The data term over a batch: a function radiance (n, 3) -> mean squared residual, and its
         derivative (n, 3) in the radiance.
         """
 
-        def loss_and_slope(radiance):
+        def loss_and_slope(radiance: np.ndarray) -> tuple[float, np.ndarray]:
             residual = self.residual(radiance, batch)
             slope = 2 * residual / (batch.observed + SHADE) / residual.size
             return float((residual**2).mean()), slope
@@ -87,7 +88,11 @@ class Problem:
         return loss_and_slope
 
     def gradient(
-        self, explanation: Explanation, batch: PixelBatch, seed: int, loss_and_slope=None
+        self,
+        explanation: Explanation,
+        batch: PixelBatch,
+        seed: int,
+        loss_and_slope: LossAndSlope | None = None,
     ) -> Gradient:
         """Of the data term, or of another `loss_and_slope(radiance) -> (loss, slope)`, in light and
         materials. `seed` fixes the renderer's paths.
@@ -109,7 +114,7 @@ def without_excess(error: np.ndarray, batch: PixelBatch) -> np.ndarray:
     return np.where(batch.clipped[:, None] & (error > 0), 0, error)
 
 
-def generators(settings, seed: int) -> tuple[np.random.Generator, torch.Generator]:
+def generators(settings: Sample, seed: int) -> tuple[np.random.Generator, torch.Generator]:
     """Random numbers of sample `seed`, its own and no other sample's: numpy's and torch's."""
     rng = np.random.default_rng([settings.seed, seed])
     noise = torch.Generator().manual_seed(settings.seed * 100003 + seed)

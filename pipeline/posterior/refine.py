@@ -53,7 +53,11 @@ class ShadingModel:
 
 
 def split_picture(
-    problem: Problem, explanation: Explanation, index: np.ndarray, spp: int, rng
+    problem: Problem,
+    explanation: Explanation,
+    index: np.ndarray,
+    spp: int,
+    rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Picture L (n, 3) of the pixels `index`, and its part a D (n, 3) that scales with the base
     colour.
@@ -85,7 +89,9 @@ def view_weight(cosine: np.ndarray) -> np.ndarray:
     return cosine[:, None] ** 2
 
 
-def shading_model(problem: Problem, explanation: Explanation, spp: int, rng) -> ShadingModel:
+def shading_model(
+    problem: Problem, explanation: Explanation, spp: int, rng: np.random.Generator
+) -> ShadingModel:
     """The model at `explanation`, from `spp` paths through every pixel.
 
     y is the photo's value; where that is saturated, the larger of it and the prediction.
@@ -127,7 +133,7 @@ def smooth_shading(sums: np.ndarray) -> np.ndarray:
 
 
 def solve_base_color(
-    problem: Problem, explanation: Explanation, spp: int, rng
+    problem: Problem, explanation: Explanation, spp: int, rng: np.random.Generator
 ) -> tuple[Explanation, float]:
     """Least squares over all pixels for the whole base colour map; also the mean squared relative
     error before it.
@@ -160,7 +166,9 @@ def solve_base_color(
     return replace(explanation, base_color=color), model.loss
 
 
-def light_scale(problem: Problem, explanation: Explanation, pixels: int, rng) -> float:
+def light_scale(
+    problem: Problem, explanation: Explanation, pixels: int, rng: np.random.Generator
+) -> float:
     """Least-squares factor of the light, sum w L y / sum w L L over random unsaturated pixels,
     within SCALE_RANGE.
     """
@@ -184,7 +192,11 @@ def light_scale(problem: Problem, explanation: Explanation, pixels: int, rng) ->
 
 
 def move_gloss(
-    problem: Problem, explanation: Explanation, settings: Refine, title: str, rng
+    problem: Problem,
+    explanation: Explanation,
+    settings: Refine,
+    title: str,
+    rng: np.random.Generator,
 ) -> Explanation:
     """All three maps after `settings.steps` steps of Adam through the path tracer, light held."""
     materials = MaterialOptimizer(explanation, settings.learning_rate, problem.roughness_min)

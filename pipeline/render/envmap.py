@@ -6,6 +6,8 @@ Frame: row 0 = +Y; u = 0.5 - lon / 2 pi with lon = atan2(x, z); v = 0.5 - lat / 
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from pipeline.base.errors import InputError
@@ -152,7 +154,7 @@ def mitsuba_gradient(gradient: np.ndarray) -> np.ndarray:
     return out
 
 
-def check_lat_long(env: np.ndarray, where) -> np.ndarray:
+def check_lat_long(env: np.ndarray, where: str | Path) -> np.ndarray:
     """Raise InputError unless `env` is a usable 2:1 radiance map; returns it as float32."""
     if env.ndim != 3 or env.shape[2] != 3:
         raise InputError(

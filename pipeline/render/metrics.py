@@ -5,6 +5,7 @@ compare with truth.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -12,10 +13,17 @@ import numpy as np
 from pipeline.base.images import linear_to_srgb, read_exr, read_png
 from pipeline.geometry.cameras import View
 from pipeline.render.envmap import solid_angles
-from pipeline.render.observe import inner_mask
-from pipeline.render.renderer import Explanation, Renderer
+from pipeline.render.observe import Observations, inner_mask
+from pipeline.render.renderer import Explanation, JitteredRays, Renderer
 
 SCORED_SIDE = 640  # longest side in pixels at which held-out photos are compared
+
+
+class PhotosAndRenderer(Protocol):
+    """What scores need of a problem (pipeline.posterior.problem, a later layer)."""
+
+    observations: Observations
+    renderer: Renderer
 
 
 def psnr(
@@ -41,12 +49,12 @@ def psnr(
     return float(-10 * np.log10(max(error.mean(), 1e-10)))
 
 
-def view_rays(view: View, pixels: np.ndarray):
+def view_rays(view: View, pixels: np.ndarray) -> JitteredRays:
     """rays(rng) -> origins, directions (n, 3): one random point in each of `pixels` (n, 2), columns
     and rows.
     """
 
-    def rays(rng):
+    def rays(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         origins, directions = view.rays(pixels + rng.random(pixels.shape))
         return np.ascontiguousarray(origins, np.float32), directions.astype(np.float32)
 
@@ -92,7 +100,7 @@ def render_twice(
 
 
 def held_out_photos(
-    problem, poses: Path, mesh: Path, erode: float, limit: int = 8
+    problem: PhotosAndRenderer, poses: Path, mesh: Path, erode: float, limit: int = 8
 ) -> list[tuple[View, np.ndarray, np.ndarray]]:
     """Held-out views (at most `limit`) at the size they are scored, each with its photo (h, w, 3)
     and its mask (h, w) less a rim of `erode` mixed pixels; views of which nothing is left are
@@ -117,7 +125,12 @@ def held_out_photos(
 
 
 def score_held_out(
-    problem, explanation: Explanation, poses: Path, mesh: Path, erode: float, spp: int
+    problem: PhotosAndRenderer,
+    explanation: Explanation,
+    poses: Path,
+    mesh: Path,
+    erode: float,
+    spp: int,
 ) -> dict:
     """PSNR of `explanation` on each of `held_out_photos`, and their mean (None without any)."""
     scores = {}

@@ -153,7 +153,12 @@ def make_observations(poses: Path, masks: Path, mesh: Path, out: Path, settings:
     table, drawn = observe_views(views, poses, masks, mesh, settings)
     np.savez(
         out / "observations.npz",
-        **table,
+        view=table["view"],
+        pixel=table["pixel"],
+        rgb=table["rgb"],
+        clipped=table["clipped"],
+        uv=table["uv"],
+        cosine=table["cosine"],
         views=np.array([view.name for view in views]),
         held_out=np.array(held_out),
     )
@@ -204,7 +209,9 @@ class Observations:
         """
         return self._rays_at(index, 0.5)
 
-    def _rays_at(self, index: np.ndarray, offset) -> tuple[np.ndarray, np.ndarray]:
+    def _rays_at(
+        self, index: np.ndarray, offset: np.ndarray | float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Rays through the pixels' corners of least column and row, plus `offset`."""
         view = self.view[index]
         at = self.pixel[index] + offset

@@ -10,6 +10,7 @@ Mitsuba's `principled`; a test holds it to that.)
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -20,7 +21,7 @@ LOBES = ("diffuse", "dielectric", "metal white", "metal black")  # A, S, M1, M0
 ALBEDO_SAMPLES = 1 << 16  # of a lobe's albedo: good to .3 %
 
 
-def principled_bsdf(metallic: float, color: float, roughness: float):
+def principled_bsdf(metallic: float, color: float, roughness: float) -> Any:
     """Mitsuba's BSDF of one grey material; the renderer's with constant maps."""
     return mi.load_dict(
         {
@@ -47,7 +48,7 @@ class PrincipledLobes:
         self.black_metal = principled_bsdf(1.0, 0.0, roughness)
         self.context = mi.BSDFContext()
 
-    def __call__(self, si, wo) -> np.ndarray:
+    def __call__(self, si: Any, wo: Any) -> np.ndarray:
         """Values (4, lanes) in the order of LOBES."""
         value = lambda bsdf: np.array(bsdf.eval(self.context, si, wo)[0])
         white = value(self.white)
@@ -56,11 +57,11 @@ class PrincipledLobes:
             [white - dielectric, dielectric, value(self.white_metal), value(self.black_metal)]
         )
 
-    def highlight_density(self, si, wo) -> np.ndarray:
+    def highlight_density(self, si: Any, wo: Any) -> np.ndarray:
         """Density (lanes,) per solid angle with which `sample_highlight` draws `wo`."""
         return np.array(self.white_metal.pdf(self.context, si, wo))
 
-    def sample_highlight(self, si, seed: int):
+    def sample_highlight(self, si: Any, seed: int) -> Any:
         """Local directions drawn from the highlight, one per lane."""
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed, dr.width(si.wi))
@@ -87,7 +88,7 @@ def lobe_albedo(roughness: float) -> np.ndarray:
     return total
 
 
-def cosine_directions(count: int, rng: np.random.Generator):
+def cosine_directions(count: int, rng: np.random.Generator) -> Any:
     """`count` directions in the local frame with density cosine / pi."""
     square = mi.Point2f(rng.random((2, count), np.float32))
     return mi.warp.square_to_cosine_hemisphere(square)

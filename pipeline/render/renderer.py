@@ -11,8 +11,10 @@ radiance, row 0 = +Y; base_color (t, t, 3), roughness, metallic (t, t) in [0, 1]
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import drjit as dr
@@ -31,6 +33,11 @@ KEYS = {
     "roughness": BSDF + "roughness.data",
     "metallic": BSDF + "metallic.data",
 }
+
+# radiance (n, 3) of n pixels -> the loss, and its derivative (n, 3) in the radiance
+LossAndSlope = Callable[[np.ndarray], tuple[float, np.ndarray]]
+# random numbers -> origins and directions (n, 3) of one freshly jittered ray per pixel
+JitteredRays = Callable[[np.random.Generator], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass
@@ -80,7 +87,7 @@ def _blank_texture(side: int, channels: int) -> dict:
     }
 
 
-def _scene(mesh: Path, texture: int, light_height: int):
+def _scene(mesh: Path, texture: int, light_height: int) -> Any:
     """Mitsuba scene of a mesh with blank textures of side `texture` under a constant light."""
     light = np.ones((2 * light_height + 1, 2 * light_height, 3), np.float32)  # as `to_mitsuba`
     material = {
@@ -105,7 +112,7 @@ def _scene(mesh: Path, texture: int, light_height: int):
     )
 
 
-def crossed_adjoint(paths: np.ndarray, loss_and_slope) -> tuple[float, np.ndarray]:
+def crossed_adjoint(paths: np.ndarray, loss_and_slope: LossAndSlope) -> tuple[float, np.ndarray]:
     """Loss, and its derivative (spp pixels, 3) in every path's radiance; paths (spp, pixels, 3).
 
     The two halves of the paths give independent estimates A and B of each pixel. A's paths are
@@ -165,7 +172,18 @@ class Renderer:
         self.params.update()
         return leaves
 
-    def _trace(self, mode, origins, directions, seed: int, adjoint=None, state=None):
+    def _trace(
+        self,
+        mode: dr.ADMode,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        seed: int,
+        adjoint: Any = None,
+        state: Any = None,
+    ) -> tuple[Any, Any, Any, Any]:
+        """What Mitsuba's integrator returns for rays (n, 3): radiance, which paths count, further
+        outputs, and the state that the backward pass takes with the radiance's `adjoint`.
+        """
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed, len(origins))
         return self.integrator.sample(
@@ -184,12 +202,14 @@ class Renderer:
             radiance = self._trace(dr.ADMode.Primal, origins, directions, seed)[0]
             return np.array(radiance).T.reshape(-1, 3)
 
-    def mean_radiance(self, rays, spp: int, seed: int, chunk: int = 1 << 19) -> np.ndarray:
+    def mean_radiance(
+        self, rays: JitteredRays, spp: int, seed: int, chunk: int = 1 << 19
+    ) -> np.ndarray:
         """Average of `spp` paths per pixel, (n, 3). `rays(rng)` gives freshly jittered origins and
         directions (n, 3). The scene is what `set` was last given.
         """
         rng = np.random.default_rng(seed)
-        total = 0.0
+        total = np.zeros((1, 3), np.float32)
         for k in range(spp):
             origins, directions = rays(rng)
             parts = [
@@ -205,7 +225,7 @@ class Renderer:
         origins: np.ndarray,
         directions: np.ndarray,
         pixels: int,
-        loss_and_slope,
+        loss_and_slope: LossAndSlope,
         seed: int,
     ) -> Gradient:
         """Unbiased gradient of a quadratic loss over `pixels` pixels (see `crossed_adjoint`).

@@ -5,6 +5,7 @@ in several photos.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -55,7 +56,7 @@ def spread_out(points: np.ndarray, count: int, rng: np.random.Generator) -> np.n
 
 
 def usable_pixels(
-    observations: Observations, scene, pool: int, rng: np.random.Generator
+    observations: Observations, scene: Any, pool: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Observations that see the surface at a usable angle, at most `pool` of them at random: their
     indices (k,), where their rays meet the surface (k, 3), and a pixel's usual width there.
@@ -104,7 +105,12 @@ def averaging_matrix(patches: list[np.ndarray], observations: int) -> sparse.csr
 
 
 def choose_rows(
-    observations: Observations, scene, points: int, views: int, seed: int, pool: int = 400_000
+    observations: Observations,
+    scene: Any,
+    points: int,
+    views: int,
+    seed: int,
+    pool: int = 400_000,
 ) -> Rows:
     """`points` points spread evenly over the seen surface, each with up to `views` patches of
     pixels that show it, one per view.

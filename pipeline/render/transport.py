@@ -18,6 +18,8 @@ in its local frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -75,8 +77,8 @@ class Transport:
 
     def __init__(
         self,
-        scene,
-        mesh_path,
+        scene: Any,
+        mesh_path: Path,
         observations: Observations,
         rows: Rows,
         h: int,
@@ -111,7 +113,7 @@ class Transport:
         self.cell_direction, self.cell_solid_angle = grid_directions(self.grid_rows, self.rng)
         self.to_light = light_weights(self.cell_direction, self.cell_solid_angle, self.h)
 
-    def _place_nodes(self, mesh_path, extra: int) -> None:
+    def _place_nodes(self, mesh_path: Path, extra: int) -> None:
         """Radiosity nodes: the rows' points, then `extra` random ones over the whole surface; each
         knows its nearest point.
         """
@@ -148,7 +150,7 @@ class Transport:
             (len(cosine), len(cosine)),
         )
 
-    def _trace(self, origin, normal, direction) -> np.ndarray:
+    def _trace(self, origin: np.ndarray, normal: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """What rays from a surface meet (k,): a radiosity node or LIGHT. All arguments (k, 3)."""
         meets = np.full(len(direction), LIGHT)
         for k in range(0, len(direction), LANES):
@@ -162,7 +164,7 @@ class Transport:
                 meets[part][hit] = self.node_tree.query(np.array(si.p).T[hit])[1]
         return meets
 
-    def _interaction(self, rows: np.ndarray):
+    def _interaction(self, rows: np.ndarray) -> Any:
         """Surface interaction that knows its local incident direction only, a lane for every one of
         `rows`.
         """
@@ -170,7 +172,7 @@ class Transport:
         si.wi = mi.Vector3f(np.ascontiguousarray(self.incident[rows].T))
         return si
 
-    def at(self, roughness: float, seed: int) -> tuple[np.ndarray, list]:
+    def at(self, roughness: float, seed: int) -> tuple[np.ndarray, list[sparse.csr_matrix]]:
         """Lobes at one roughness: light matrices F (4, n, M) float32 and a list of 4 sparse (n, q)
         for light off the object.
         """

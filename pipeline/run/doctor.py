@@ -79,7 +79,10 @@ def render() -> str:
     value = float(dr.mean(image, axis=None).array[0])
     if not (0.1 < value < 2 and dr.any(dr.grad(params[key]) != 0)):
         raise RuntimeError(f"the test picture is wrong: mean {value}")
-    return f"Mitsuba renders 8x8 pixels and their gradient (LLVM: {runtime.llvm_path()}, {dr.thread_count()} threads)"
+    return (
+        f"Mitsuba renders 8x8 pixels and their gradient (LLVM: {runtime.llvm_path()}, "
+        f"{dr.thread_count()} threads)"
+    )
 
 
 def attempt(work: Callable[[], str], cure: str) -> tuple[bool, str]:
@@ -136,7 +139,8 @@ def doctor() -> bool:
     findings += [
         attempt(
             render,
-            "pip install --no-deps -r requirements.lock, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version 19 or newer",
+            "pip install --no-deps -r requirements.lock, or set DRJIT_LIBLLVM_PATH to a libLLVM.so "
+            "of version 19 or newer",
         ),
         attempt(
             lambda: f"open3d imports: {runtime.import_open3d().__version__}",

@@ -123,7 +123,8 @@ def test_a_thousand_iterations_stay_finite_and_in_memory(hostile, name):
         assert np.isfinite(getattr(x, field)).all(), field
     assert x.light.min() >= 0 and 0 <= x.base_color.min() and x.base_color.max() <= 1
     print(
-        f"{name}: {time.monotonic() - began:.0f} s, memory grew by {growth:.1f} MB at {memory.seen[-1]:.0f} MB"
+        f"{name}: {time.monotonic() - began:.0f} s, memory grew by {growth:.1f} MB "
+        f"at {memory.seen[-1]:.0f} MB"
     )
     assert growth < 30
 
@@ -136,7 +137,7 @@ def test_no_new_kernels_after_the_warm_up(hostile):
         SAMPLERS["dpi_paper"](
             problem, load_prior("prior_small"), start, LONG.model_copy(update={"steps": 40}), 0
         )
-        compiled = [k for k in dr.kernel_history([dr.KernelType.JIT])]
+        compiled = list(dr.kernel_history([dr.KernelType.JIT]))
     half = len(compiled) // 2
     hashes = [k["hash"] for k in compiled]
     assert len(hashes) > 100 and set(hashes[half:]) <= set(hashes[:half])

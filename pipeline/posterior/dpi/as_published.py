@@ -32,6 +32,7 @@ from pipeline.posterior.dpi.light_of_code import (
 )
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import Problem, generators, renderer_seed
+from pipeline.prior.protocol import Prior
 from pipeline.prior.schedule import ALPHA_BAR, T, posterior, sigma, subsequence
 from pipeline.prior.value_code import scale_of
 from pipeline.render.renderer import Explanation, Gradient, resize_explanation
@@ -66,7 +67,7 @@ def roll(code: torch.Tensor, columns: int) -> torch.Tensor:
     return code.roll(columns, -1)
 
 
-def denoised(prior, noisy: torch.Tensor, t: int, label: str | None) -> torch.Tensor:
+def denoised(prior: Prior, noisy: torch.Tensor, t: int, label: str | None) -> torch.Tensor:
     """x_0 (1, 3, h, w) of x_t.
 
     Eq. 7 (published): x_0 = (x_t - sqrt(1 - ab_t) eps(x_t, t)) / sqrt(ab_t)
@@ -95,7 +96,7 @@ def rho(t: int) -> float:
     return 0.1 if t > T // 2 else 0.1 + 0.9 * (T // 2 - t) / (T // 2)
 
 
-def guidance_weight(t: int, prior, settings: Sample) -> float:
+def guidance_weight(t: int, prior: Prior, settings: Sample) -> float:
     """rho_t in our units, times the setting `guidance`, and times T / n where n of the T levels are
     visited: steps are longer by that much.
     """
@@ -135,7 +136,7 @@ def material_step(materials: MaterialOptimizer, gradient: Gradient) -> None:
 
 
 def dpi_paper(
-    problem: Problem, prior, start: Explanation, settings: Sample, seed: int
+    problem: Problem, prior: Prior, start: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
     """One posterior sample at `settings.texture`, and facts. `start`: the fit.
 

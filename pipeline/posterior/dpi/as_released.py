@@ -36,9 +36,10 @@ from pipeline.posterior.problem import (
     renderer_seed,
     without_excess,
 )
+from pipeline.prior.protocol import Prior
 from pipeline.prior.schedule import T
 from pipeline.prior.value_code import scale_of
-from pipeline.render.renderer import Explanation, resize_explanation
+from pipeline.render.renderer import Explanation, LossAndSlope, resize_explanation
 
 RANGE = 2.0  # four standard deviations of our codes
 RATES = {"base_color": 0.02, "roughness": 0.015, "metallic": 0.01}
@@ -59,14 +60,14 @@ def released_rho(t: int, outdoor: bool) -> float:
     return 0.1 + 0.9 * (0.9 - time) / 0.4 if time >= 0.5 else 0.2 + 0.8 * time / 0.5
 
 
-def norm_loss(batch: PixelBatch, outdoor: bool):
+def norm_loss(batch: PixelBatch, outdoor: bool) -> LossAndSlope:
     """The released loss, a function radiance (n, 3) -> loss, its derivative (n, 3).
 
     It is the un-squared L2 norm of the error, indoors that of log(1 + radiance). A saturated pixel
     is no error where it is exceeded.
     """
 
-    def loss_and_slope(radiance):
+    def loss_and_slope(radiance: np.ndarray) -> tuple[float, np.ndarray]:
         if outdoor:
             error = radiance - batch.observed
             chain = np.ones_like(radiance)
@@ -114,7 +115,7 @@ def reset_gauge(materials: MaterialOptimizer) -> None:
 
 
 def dpi_code(
-    problem: Problem, prior, start: Explanation, settings: Sample, seed: int
+    problem: Problem, prior: Prior, start: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
     """One sample by the released algorithm; arguments and result as `dpi_paper`, whose equations
     are named in the comments.

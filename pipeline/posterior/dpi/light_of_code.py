@@ -11,11 +11,12 @@ import numpy as np
 import torch
 
 from pipeline.posterior.material_optimizer import MaterialOptimizer
+from pipeline.prior.protocol import Prior
 from pipeline.render.envmap import yaw_roll
 from pipeline.render.renderer import Explanation
 
 
-def decoded(prior, code: torch.Tensor, light_scale: float) -> torch.Tensor:
+def decoded(prior: Prior, code: torch.Tensor, light_scale: float) -> torch.Tensor:
     """Radiance (3, h, w) of a code (1, 3, h, w), differentiable."""
     return light_scale * prior.decode(code)[0]
 
@@ -40,7 +41,7 @@ def slope_in_code(
 
 
 def finished_sample(
-    prior, code: torch.Tensor, light_scale: float, materials: MaterialOptimizer
+    prior: Prior, code: torch.Tensor, light_scale: float, materials: MaterialOptimizer
 ) -> Explanation:
     """What a sampler returns that ends with `code` (1, 3, h, w) and `materials`."""
     with torch.no_grad():

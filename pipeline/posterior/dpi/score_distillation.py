@@ -17,6 +17,7 @@ from pipeline.posterior.dpi.light_of_code import (
 )
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import Problem, generators, renderer_seed
+from pipeline.prior.protocol import Prior
 from pipeline.prior.schedule import sigma
 from pipeline.prior.value_code import scale_of
 from pipeline.render.renderer import Explanation, resize_explanation
@@ -26,7 +27,7 @@ PRIOR_WEIGHT = 0.02  # of the prior's slope against the data term's
 
 
 def prior_slope(
-    prior, code: torch.Tensor, level: float, label: str | None, noise: torch.Generator
+    prior: Prior, code: torch.Tensor, level: float, label: str | None, noise: torch.Generator
 ) -> torch.Tensor:
     """The prior's slope in the code (1, 3, h, w), per entry: towards what the network makes of the
     code under noise of standard deviation `level`.
@@ -37,7 +38,7 @@ def prior_slope(
 
 
 def sds(
-    problem: Problem, prior, start: Explanation, settings: Sample, seed: int
+    problem: Problem, prior: Prior, start: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
     """One optimum from a random code; arguments and result as `dpi_paper`."""
     rng, noise = generators(settings, seed)
