@@ -26,7 +26,7 @@ def rasterize(uv: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
 
 
 @njit(cache=False)
-def _count(corners, size):
+def _count(corners: np.ndarray, size: int) -> np.ndarray:
     """The loop of `rasterize`: corners (m, 3, 2) in texels, x right and y down. Letters: a, b, c a
     triangle's corners; s, t barycentric coordinates of b and c.
     """
