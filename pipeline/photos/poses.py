@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from pipeline.base.config import Poses
 from pipeline.base.errors import InputError
@@ -177,12 +178,8 @@ def object_sphere(points: np.ndarray, poses, plane) -> tuple[np.ndarray, float, 
 
 
 def rotation_to_y(up: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) that takes `up` to +Y by the shortest way."""
-    v, c = np.cross(up, [0, 1, 0]), up[1]
-    if c < -0.999999:
-        return np.diag([1.0, -1, -1])
-    k = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + k + k @ k / (1 + c)
+    """Rotation (3, 3) that takes the unit vector `up` (3,) to +Y by the shortest way."""
+    return Rotation.align_vectors([0, 1, 0], up)[0].as_matrix()
 
 
 def undistort(
