@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import cv2
 import numpy as np
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from pipeline.base.config import Poses
 from pipeline.base.errors import InputError
@@ -29,9 +30,9 @@ from pipeline.photos.sfm import HINT, reconstruct, sparse_points
 if TYPE_CHECKING:
     import pycolmap
 
-Plane: TypeAlias = tuple[
-    np.ndarray, float, float
-]  # unit normal n, offset: n.x = offset, inlier share
+# unit normal n, offset of the plane n.x = offset, share of inliers
+Plane: TypeAlias = tuple[np.ndarray, float, float]
+TRIPLES = 6000  # tries for the ground plane
 
 
 def positions(poses: list[np.ndarray]) -> np.ndarray:
@@ -58,49 +59,77 @@ def mean_up(poses: list[np.ndarray]) -> np.ndarray:
 def ground_plane(
     xyz: np.ndarray, centers: np.ndarray, up: np.ndarray, middle: np.ndarray, seed: int
 ) -> Plane | None:
-    """RANSAC over the points: (unit normal, offset, inlier share) of the plane n.x = offset, or
-    None.
+    """RANSAC over the points: (unit normal n (3,), offset, share of inliers) of the plane n.x =
+    offset, or None.
 
     A ground plane has its normal within 40 degrees of the cameras' mean up, all cameras above it,
     and at least 12 % of the nearer points, or, like white paper with little to match on it, 4 % and
-    next to nothing below.
+    next to nothing below. The score is the share of inliers less twice the share of points well
+    below. A general RANSAC counts inliers alone and finds a wall or a slope where the ground has
+    little texture.
     """
     distance = np.median(np.linalg.norm(centers - middle, axis=1))
     near = xyz[np.linalg.norm(xyz - middle, axis=1) < 1.5 * distance]
     if len(near) < 50:
         return None
-    rng = np.random.default_rng(seed)
+
     tolerance = 0.01 * distance
-    best: tuple[float, tuple[np.ndarray, float] | None] = (0.0, None)
-    for _ in range(6000):
-        a, b, c = near[rng.choice(len(near), 3, replace=False)]
+    start = _best_of_triples(near, centers, up, tolerance, np.random.default_rng(seed))
+    if start is None:
+        return None
+    n, offset = _refit(near, *start, up, tolerance)
+
+    inliers, below = _inliers_and_below(near, n, offset, tolerance)
+    bare = inliers >= 0.04 and inliers * len(near) >= 80 and below < 0.02
+    return (n, float(offset), inliers) if inliers >= 0.12 or bare else None
+
+
+def _inliers_and_below(
+    points: np.ndarray, n: np.ndarray, offset: float, tolerance: float
+) -> tuple[float, float]:
+    """Shares of the points (n, 3) that lie on a plane, and well below it."""
+    height = points @ n - offset
+    inliers = (np.abs(height) < tolerance).mean()
+    return float(inliers), float((height < -3 * tolerance).mean())
+
+
+def _best_of_triples(
+    points: np.ndarray,
+    centers: np.ndarray,
+    up: np.ndarray,
+    tolerance: float,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, float] | None:
+    """Normal (3,) and offset of the best ground through three of the points, or None."""
+    best = None
+    best_score = 0.0
+    for _ in range(TRIPLES):
+        a, b, c = points[rng.choice(len(points), 3, replace=False)]
         n = np.cross(b - a, c - a)
         n = n / (np.linalg.norm(n) + 1e-12)
         n = n * np.sign(n @ up)
         if n @ up < np.cos(np.radians(40)) or (centers @ n).min() < a @ n:
             continue
-        height = near @ n - a @ n
-        score = (np.abs(height) < tolerance).mean() - 2.0 * (
-            height < -3 * tolerance
-        ).mean()  # ground has nothing below
-        if score > best[0]:
-            best = (score, (n, a @ n))
-    if best[1] is None:
-        return None
-    n, offset = best[1]
+
+        inliers, below = _inliers_and_below(points, n, a @ n, tolerance)
+        score = inliers - 2.0 * below
+        if score > best_score:
+            best_score = score
+            best = (n, a @ n)
+    return best
+
+
+def _refit(
+    points: np.ndarray, n: np.ndarray, offset: float, up: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, float]:
+    """Normal and offset of the plane fitted to its own inliers, five times over."""
     for _ in range(5):
-        inliers = near[np.abs(near @ n - offset) < tolerance]
+        inliers = points[np.abs(points @ n - offset) < tolerance]
         center = inliers.mean(0)
         n = np.linalg.svd(inliers - center, full_matrices=False)[2][2]
         n = n * np.sign(n @ up)
         offset = center @ n
-    height = near @ n - offset
-    share, below = (
-        float((np.abs(height) < tolerance).mean()),
-        float((height < -3 * tolerance).mean()),
-    )
-    bare = share >= 0.04 and share * len(near) >= 80 and below < 0.02
-    return (n, float(offset), share) if share >= 0.12 or bare else None
+    return n, offset
 
 
 def object_points(
@@ -197,12 +226,8 @@ def object_sphere(
 
 
 def rotation_to_y(up: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) that takes `up` to +Y by the shortest way."""
-    v, c = np.cross(up, [0, 1, 0]), up[1]
-    if c < -0.999999:
-        return np.diag([1.0, -1, -1])
-    k = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + k + k @ k / (1 + c)
+    """Rotation (3, 3) that takes the unit vector `up` (3,) to +Y by the shortest way."""
+    return Rotation.align_vectors([0, 1, 0], up)[0].as_matrix()
 
 
 def undistort(

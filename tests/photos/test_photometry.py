@@ -42,9 +42,9 @@ def test_photos_are_divided_only_if_it_is_much(ring, tmp_path, step, matched):
     xyz = rng.uniform(-0.3, 0.3, (200, 3))
     points = {"xyz": xyz, "offsets": np.arange(0, 1201, 6), "views": np.tile(np.arange(6), 200)}
     new, facts = match_exposure(views, tmp_path, points)
-    levels = np.array([read_exr(tmp_path / v.image).mean() for v in views])
+    brightness = np.array([read_exr(tmp_path / v.image).mean() for v in views])
     assert facts["exposure_matched"] == matched
-    assert bool(np.ptp(np.log2(levels)) < 0.01) == matched
+    assert bool(np.ptp(np.log2(brightness)) < 0.01) == matched
     if matched:
         np.testing.assert_allclose(
             [n.clip_level * 2**s for n, s in zip(new, stops - np.median(stops))], 1.0, atol=1e-3

@@ -110,6 +110,20 @@ def test_ground_is_found_and_turned_level(ring):
     )
 
 
+def test_any_direction_is_turned_up():
+    """+Y itself, its opposite and what is near it too."""
+    random = np.random.default_rng(0).normal(size=(20, 3))
+    near_down = [[d, -1, 0.5 * d] for d in (0, 1e-6, 1e-3)]
+    for up in [*random, *near_down, [0, 1, 0]]:
+        up = np.array(up, float) / np.linalg.norm(up)
+        rotation = rotation_to_y(up)
+        assert np.allclose(rotation @ up, [0, 1, 0], atol=1e-12)
+        assert np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        assert np.isclose(np.linalg.det(rotation), 1)
+        # the shortest way: by the angle between the two, and no further
+        assert np.isclose(np.trace(rotation), 1 + 2 * up[1], atol=1e-9)
+
+
 def test_no_ground_in_a_cloud_of_points(ring):
     cloud = np.random.default_rng(0).normal(size=(500, 3))
     centers = np.stack([v.position for v in ring(8)])
