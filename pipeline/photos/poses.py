@@ -59,8 +59,8 @@ def ground_plane(
     A ground plane has its normal within 40 degrees of the cameras' mean up, all cameras above it,
     and at least 12 % of the nearer points, or, like white paper with little to match on it, 4 % and
     next to nothing below. The score is the share of inliers less twice the share of points well
-    below. A general RANSAC, which counts inliers alone, finds a wall or a slope where the ground has
-    little texture.
+    below. A general RANSAC, which counts inliers alone, finds a wall or a slope where the ground
+    has little texture.
     """
     distance = np.median(np.linalg.norm(centers - middle, axis=1))
     near = xyz[np.linalg.norm(xyz - middle, axis=1) < 1.5 * distance]
