@@ -22,8 +22,6 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-import drjit as dr
-
 from pipeline.base.images import linear_to_srgb, write_exr
 from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba as mi
@@ -517,6 +515,8 @@ def shape_numbers(scene) -> dict[str, int]:
     """Part name -> its number in the AOV `shape_index`: Dr.Jit's registry number, not the place in
     the scene.
     """
+    import drjit as dr  # after pipeline, which has pointed it at its LLVM
+
     return {s.id(): int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in scene.shapes()}
 
 
