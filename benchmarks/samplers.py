@@ -76,14 +76,17 @@ class Truth:
         other = next(
             f for f in sorted((folder / "relight").glob("*.exr")) if f.with_suffix("").is_dir()
         )
-        self.other_light, self.pixels, self.relit = read_exr(other), [], []
+        self.other_light = read_exr(other)
+        self.pixels = []
+        self.relit = []
         for view in problem.observations.held_out:
             picture = read_exr(other.with_suffix("") / f"{view.name}.exr")
             inside = cv2.erode((picture.sum(-1) > 0).astype(np.uint8), np.ones((5, 5)))
             rows, columns = np.random.default_rng(0).permutation(np.argwhere(inside))[:RELIT].T
             self.pixels.append((view, np.stack([columns, rows], -1)))
             self.relit.append(picture[rows, columns])
-        self.relit, self.region = np.concatenate(self.relit), group(self.colours)[0]
+        self.relit = np.concatenate(self.relit)
+        self.region = group(self.colours)[0]
 
     @staticmethod
     def _colours(folder: Path, views, tracer: Tracer) -> tuple[np.ndarray, np.ndarray]:
@@ -132,7 +135,8 @@ class Truth:
 
     def scores(self, x: Explanation, renderer) -> tuple[dict, dict]:
         """Errors of `x`, and its own values of the unknowns."""
-        colours, (pixels, again) = gather(x.base_color, self.uv), self.relit_by(x, renderer)
+        colours = gather(x.base_color, self.uv)
+        pixels, again = self.relit_by(x, renderer)
         raw, aligned = aligned_rms(colours, self.colours)
         return {
             "light_psnr": light_psnr(x.light, self.light),
@@ -178,7 +182,8 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         prior.height,
     )
     settings = scene.refine.model_copy(update={"steps": 0})
-    full, small = load(settings.texture), load(min(COARSE, settings.texture))
+    full = load(settings.texture)
+    small = load(min(COARSE, settings.texture))
     held = held_out_photos(full, folders["poses"], folders["mesh"], scene.observe.erode)
     mean_psnr = lambda pictures: float(
         np.mean([psnr(a, photo, mask, b) for (a, b), (_, photo, mask) in zip(pictures, held)])

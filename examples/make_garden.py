@@ -22,8 +22,6 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-import drjit as dr
-
 from pipeline.base.images import linear_to_srgb, write_exr
 from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba as mi
@@ -238,7 +236,8 @@ def pot(rng) -> Part:
     )
     arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(profile, axis=0), axis=1))])
     u, v = sheet(300, 256)
-    r, y = np.interp(v, arc / arc[-1], profile[:, 0]), np.interp(v, arc / arc[-1], profile[:, 1])
+    r = np.interp(v, arc / arc[-1], profile[:, 0])
+    y = np.interp(v, arc / arc[-1], profile[:, 1])
     bumps = noise(rng, 512, 14, 4)[(v * 511).astype(int), ((u % 1) * 511).astype(int)]
     y = y + np.where(
         v > 0.84, 0.0022 * bumps * np.clip((v - 0.84) * 30, 0, 1) * np.clip((1 - v) * 30, 0, 1), 0
@@ -516,6 +515,8 @@ def shape_numbers(scene) -> dict[str, int]:
     """Part name -> its number in the AOV `shape_index`: Dr.Jit's registry number, not the place in
     the scene.
     """
+    import drjit as dr  # after pipeline, which has pointed it at its LLVM
+
     return {s.id(): int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in scene.shapes()}
 
 
@@ -538,7 +539,8 @@ def material_maps(parts, objects, everything, view, seen, passes=16) -> dict[str
         "roughness": np.zeros(seen.shape + (1,)),
         "metallic": np.zeros(seen.shape + (1,)),
     }
-    count, numbers = np.zeros(seen.shape + (1,)), shape_numbers(objects)
+    count = np.zeros(seen.shape + (1,))
+    numbers = shape_numbers(objects)
     for seed in range(passes):  # seed 0 also made `seen`, hence count > 0 there
         alone, visible = trace_object(objects, everything, view, seed)
         for part in parts:
@@ -567,7 +569,8 @@ def render_truth(parts, env, poses, out: Path, spp: int) -> None:
         _, mask = trace_object(objects, everything, sensor(poses[k]))
         Image.fromarray(mask).save(out / "truth" / "masks" / f"garden_{k:03d}.png", optimize=True)
     for k in progress(range(1, len(poses), max(len(poses) // 4, 1)), "maps and relit views"):
-        view, name = sensor(poses[k], WIDTH // 2, HEIGHT // 2), f"garden_{k:03d}.exr"
+        view = sensor(poses[k], WIDTH // 2, HEIGHT // 2)
+        name = f"garden_{k:03d}.exr"
         _, seen = trace_object(objects, everything, view)
         for key, image in material_maps(parts[:3], objects, everything, view, seen).items():
             write_exr(
@@ -593,7 +596,8 @@ def write_object(parts, path: Path) -> None:
     )
     meshes.meshing_merge_close_vertices(threshold=pymeshlab.PercentageValue(0.01))
     meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=60000, optimalplacement=False)
-    vertices, faces = meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
+    vertices = meshes.current_mesh().vertex_matrix()
+    faces = meshes.current_mesh().face_matrix()
     save_mesh(path, Mesh(vertices, faces, vertex_normals(vertices, faces)))
 
 
