@@ -26,10 +26,11 @@ from PIL import Image
 
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import stage_folder
-from pipeline.base.images import to_srgb8
+from pipeline.base.images import read_exr, to_srgb8, write_exr
 from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.geometry.cameras import Y_FROM_Z_UP
+from pipeline.render.envmap import check_lat_long
 
 ASSET_FILES = ("mesh.ply", "base_color.png", "roughness.png", "metallic.png")
 FIELD_OF_VIEW = 40.0  # degrees
@@ -99,19 +100,13 @@ def transform_matrix(position: np.ndarray) -> list:
 
 
 def read_light(path: Path) -> np.ndarray:
-    """Radiance (h, w, 3). Raises InputError when the file is missing or unreadable."""
+    """Radiance (h, w, 3). Raises InputError when the file is missing, unreadable or no light.
+
+    Not by Mitsuba: its reading and writing of EXR waits forever where Dr.Jit has one thread.
+    """
     if not path.is_file():
         raise InputError("there is no such light", path, "give a lat-long .exr")
-    try:
-        bitmap = mi.Bitmap(str(path))
-    except RuntimeError as error:
-        raise InputError(f"not a readable picture ({error})", path, "replace the file") from error
-    return np.array(bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
-
-
-def write_exr(path: Path, pixels: np.ndarray) -> None:
-    """Write (h, w, channels) as float32, by Mitsuba."""
-    mi.Bitmap(pixels.astype(np.float32)).write(str(path))
+    return check_lat_long(read_exr(path), path)
 
 
 def check_asset(asset: Path) -> None:
@@ -199,7 +194,7 @@ def write_truth(asset: Path, uv: np.ndarray, hit: np.ndarray, out: Path, name: s
     write_exr(out / "truth" / "albedo" / f"{name}.exr", color)
     for key in ("roughness", "metallic"):
         value = look_up(asset / f"{key}.png", uv) * hit
-        write_exr(out / "truth" / key / f"{name}.exr", value[..., None])
+        write_exr(out / "truth" / key / f"{name}.exr", value)
 
 
 def write_split(

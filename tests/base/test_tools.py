@@ -100,7 +100,10 @@ def test_doctor_renders(monkeypatch):
 
 def test_threads_reach_a_blas_that_is_loaded():
     """It read its variables when numpy was imported; with another number its sums are others."""
+    import drjit  # here: pipeline must be imported first, it points Dr.Jit at its LLVM
+
     before = {pool["filepath"]: pool["num_threads"] for pool in threadpool_info()}
+    of_drjit = drjit.thread_count()
     assert before
     try:
         for count in (2, 1):
@@ -108,3 +111,4 @@ def test_threads_reach_a_blas_that_is_loaded():
             assert all(pool["num_threads"] == count for pool in threadpool_info())
     finally:
         set_threads(max(before.values()))
+        drjit.set_thread_count(of_drjit)  # one thread would make Mitsuba's EXR files wait forever
