@@ -7,7 +7,7 @@ implemented equation is missing.
 import ast
 import re
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "docs" / "equations.md"
 ROW = re.compile(
     r"^\| (?P<tag>[^|]+?) \| [^|]+ \| `(?P<function>[\w.]+)` "
-    r"\| `(?P<path>[\w./-]+):(?P<line>\d+)` \|",
+    r"\| \[`(?P<path>[\w./-]+):(?P<line>\d+)`\]\(\.\./(?P=path)#L(?P=line)\) \|",
     re.MULTILINE,
 )
 TAGS = re.compile(r"\bEqs?\. \d+(?:(?:, | and |, and )\d+)*")
@@ -64,13 +64,18 @@ def posterior_files() -> list[Path]:
     return sorted((ROOT / "pipeline" / "posterior").rglob("*.py"))
 
 
+def cells(row: Row) -> str:
+    """The two cells that name a row's function and lead to it."""
+    link = f"[`{row.path}:{row.line}`](../{row.path}#L{row.line})"
+    return f"`{row.function}` | {link} |"
+
+
 def write_lines() -> None:
     """Put each function's current line into the table; a row whose function is gone is an error."""
     text = TABLE.read_text(encoding="utf-8")
     for row in rows():
         line = definitions(ROOT / row.path)[row.function].lineno
-        old = f"`{row.function}` | `{row.path}:{row.line}`"
-        text = text.replace(old, f"`{row.function}` | `{row.path}:{line}`")
+        text = text.replace(cells(row), cells(replace(row, line=line)))
     TABLE.write_text(text, encoding="utf-8")
 
 
