@@ -9,6 +9,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 PAGES += [ROOT / "weights" / "MODEL_CARD.md"]
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+LINE = re.compile(r"L\d+")
 HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
 NAMED = re.compile(r"`((?:[\w.-]+/)*[\w-]+\.py)`")
 PLACEHOLDER = re.compile(r"(^|/)[A-Z]+\.py$")  # `stages/NAME.py`: to be written by the reader
@@ -28,7 +29,11 @@ def slugs(page: Path) -> set[str]:
 def leads_somewhere(page: Path, target: str) -> bool:
     path, _, anchor = target.partition("#")
     file = (page.parent / path).resolve() if path else page
-    return file.exists() and (not anchor or anchor in slugs(file))
+    if not file.exists():
+        return False
+    if file.suffix == ".py" and LINE.fullmatch(anchor):
+        return int(anchor[1:]) <= len(file.read_text(encoding="utf-8").splitlines())
+    return not anchor or anchor in slugs(file)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
