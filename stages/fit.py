@@ -1,7 +1,7 @@
 """Fit: a point estimate of light and materials together (DPI, Eq. 15)."""
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import Stage, stage
+from pipeline.run.stage import PROBLEM_FOLDERS, Stage, stage
 
 
 def work(s: Stage) -> None:
@@ -12,10 +12,7 @@ def work(s: Stage) -> None:
     set_threads(s.args.threads)
     with stage_folder(s.out) as out:
         problem = load_problem(
-            s.args.observe,
-            s.args.poses,
-            s.args.atlas,
-            s.args.mesh,
+            *s.problem_folders,
             s.scene,
             s.scene.fit.texture,
             s.scene.render.light_height,
@@ -28,11 +25,6 @@ def work(s: Stage) -> None:
 if __name__ == "__main__":
     stage(
         __doc__,
-        {
-            "observe": "folder of the observe stage",
-            "poses": "folder of the poses stage",
-            "atlas": "folder of the atlas stage",
-            "mesh": "folder of the mesh stage (its surface's facts)",
-        },
+        PROBLEM_FOLDERS,
         work,
     )

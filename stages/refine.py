@@ -3,7 +3,7 @@ held-out score.
 """
 
 from pipeline.base.files import read_json, report_metrics, stage_folder
-from pipeline.run.stage import Stage, stage
+from pipeline.run.stage import PROBLEM_FOLDERS, Stage, stage
 
 
 def work(s: Stage) -> None:
@@ -15,12 +15,11 @@ def work(s: Stage) -> None:
 
     set_threads(s.args.threads)
     settings = s.scene.refine
-    folders = (s.args.observe, s.args.poses, s.args.atlas, s.args.mesh)
     with stage_folder(s.out) as out:
         sample = Explanation.load(s.args.sample)
         rows = sample.light.shape[0]
-        problem = load_problem(*folders, s.scene, settings.texture, rows)
-        small = load_problem(*folders, s.scene, min(COARSE, settings.texture), rows)
+        problem = load_problem(*s.problem_folders, s.scene, settings.texture, rows)
+        small = load_problem(*s.problem_folders, s.scene, min(COARSE, settings.texture), rows)
         drawn = read_json(s.args.sample / "sample.json").get("scale_drawn", False)
         refined, facts = refine(problem, small, sample, settings, s.args.index, rescale=not drawn)
         refined.save(out)
@@ -39,10 +38,7 @@ if __name__ == "__main__":
     stage(
         __doc__,
         {
-            "observe": "folder of the observe stage",
-            "poses": "folder of the poses stage",
-            "mesh": "folder of the mesh stage (final masks, its surface's facts)",
-            "atlas": "folder of the atlas stage",
+            **PROBLEM_FOLDERS,
             "sample": "folder of the sample",
         },
         work,

@@ -1,7 +1,7 @@
 """Sample: one posterior draw of light and materials. Independent of every other sample."""
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import Stage, stage
+from pipeline.run.stage import PROBLEM_FOLDERS, Stage, stage
 
 
 def work(s: Stage) -> None:
@@ -20,15 +20,11 @@ def work(s: Stage) -> None:
             nearest(settings.method, SAMPLERS),
         )
     prior = load_prior(settings.prior)
-    set_threads(
-        s.args.threads
-    )  # one thread: sums in a fixed order, so sample k is bit-identical anywhere
+    # one thread: sums in a fixed order, so sample k is bit-identical anywhere
+    set_threads(s.args.threads)
     with stage_folder(s.out) as out:
         problem = load_problem(
-            s.args.observe,
-            s.args.poses,
-            s.args.atlas,
-            s.args.mesh,
+            *s.problem_folders,
             s.scene,
             settings.texture,
             prior.height,
@@ -47,10 +43,7 @@ if __name__ == "__main__":
     stage(
         __doc__,
         {
-            "observe": "folder of the observe stage",
-            "poses": "folder of the poses stage",
-            "atlas": "folder of the atlas stage",
-            "mesh": "folder of the mesh stage (its surface's facts)",
+            **PROBLEM_FOLDERS,
             "fit": "folder of the fit stage",
         },
         work,

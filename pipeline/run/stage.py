@@ -35,6 +35,15 @@ def overrides(settings: list[str]) -> dict:
     return out
 
 
+# What `load_problem` (posterior/load.py) reads: the folders of fit, sample and refine.
+PROBLEM_FOLDERS = {
+    "observe": "folder of the observe stage",
+    "poses": "folder of the poses stage",
+    "atlas": "folder of the atlas stage",
+    "mesh": "folder of the mesh stage (its surface's facts, its final masks)",
+}
+
+
 class Stage:
     """Parsed command line of a stage: `.scene` (validated), `.out`, `.args` and one Path per input
     folder.
@@ -45,6 +54,11 @@ class Stage:
         self.scene: Scene = load_scene(self.args.config, overrides(self.args.set))
         self.out: Path = self.args.out
         self.start = time.monotonic()
+
+    @property
+    def problem_folders(self) -> tuple[Path, Path, Path, Path]:
+        """Those of PROBLEM_FOLDERS, in the order that `load_problem` takes them."""
+        return self.args.observe, self.args.poses, self.args.atlas, self.args.mesh
 
     def costs(self) -> dict:
         """Wall seconds and peak resident memory of this process so far, and the time: for the
