@@ -271,7 +271,8 @@ def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.n
     background = np.zeros((1, 65))  # GrabCut's colour models
     foreground = np.zeros((1, 65))
     cv2.setRNGSeed(0)
-    cv2.grabCut(  # type: ignore[call-overload]  # OpenCV's stubs do not know that it may go without a rectangle
+    # OpenCV's stubs do not know that it may go without a rectangle
+    cv2.grabCut(  # type: ignore[call-overload]
         picture, cut_state, None, background, foreground, 3, cv2.GC_INIT_WITH_MASK
     )
 

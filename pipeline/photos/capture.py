@@ -374,6 +374,37 @@ def focal_guess(photo: dict) -> dict:
     return {"focal_px": 1.2 * side, "focal_source": "assumed, 1.2 x long side"}
 
 
+def converted(
+    found: list[tuple[str, Path, str]], scene: Path, out: Path, settings: Capture
+) -> list:
+    """Facts of every photo (photos.json), after its linear picture is in `out`/images/NAME.npy and
+    its mask, if it has one, in `out`/masks.
+    """
+    (out / "images").mkdir()
+    photos = []
+    for name, path, split in progress(found, "photos"):
+        linear, mask, facts = convert(scene, path, settings)
+        np.save(out / "images" / f"{name}.npy", linear.astype(np.float16))
+        if mask is not None:
+            (out / "masks").mkdir(exist_ok=True)
+            write_png(out / "masks" / f"{name}.png", (mask >= 0.5) * np.uint8(255))
+
+        file = path.relative_to(scene).as_posix()
+        own = {"name": name, "file": file, "split": split, "has_mask": mask is not None}
+        photos.append(own | facts)
+    return photos
+
+
+def divide_out_gains(photos: list[dict], images: Path) -> None:
+    """NAME.npy of every photo over its gain as NAME.exr; clip level and focal length follow."""
+    for p in photos:
+        raw = images / f"{p['name']}.npy"
+        write_exr(raw.with_suffix(".exr"), np.load(raw).astype(np.float32) / p["gain"], half=True)
+        p["clip_level"] /= p["gain"]
+        p |= focal_guess(p)
+        raw.unlink()
+
+
 def capture(scene: Path, out: Path, settings: Capture) -> dict:
     """Convert every photo of `scene` into `out`/images/*.exr (half, linear), masks/*.png and
     photos.json.
@@ -385,33 +416,13 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
     cameras = camera_file(scene)
     unused = unused_photos(scene, found)
     if cameras and unused:
-        print(
-            f"{len(unused)} photos are not named by {cameras.name} and not used, first {unused[0]}",
-            file=sys.stderr,
-        )
+        text = f"{len(unused)} photos are not named by {cameras.name} and not used, first"
+        print(f"{text} {unused[0]}", file=sys.stderr)
 
-    (out / "images").mkdir()
-    photos = []
-    masked = []
-    for name, path, split in progress(found, "photos"):
-        linear, mask, facts = convert(scene, path, settings)
-        np.save(out / "images" / f"{name}.npy", linear.astype(np.float16))
-        photos.append(
-            {
-                "name": name,
-                "file": path.relative_to(scene).as_posix(),
-                "split": split,
-                "has_mask": mask is not None,
-            }
-            | facts
-        )
-        if mask is not None:
-            masked.append(name)
-            (out / "masks").mkdir(exist_ok=True)
-            write_png(out / "masks" / f"{name}.png", (mask >= 0.5) * np.uint8(255))
-
-    if masked and len(masked) < len(photos):
-        bare = [p["file"] for p in photos if not p["has_mask"]]
+    photos = converted(found, scene, out, settings)
+    bare = [p["file"] for p in photos if not p["has_mask"]]
+    masked = len(photos) - len(bare)
+    if masked and bare:
         raise InputError(
             f"{len(bare)} of {len(photos)} photos have no mask, first {bare[0]}",
             scene / "masks",
@@ -419,21 +430,13 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
         )
 
     exposure = normalise_exposure(photos, settings.exposure)
-    for p in photos:
-        raw = out / "images" / f"{p['name']}.npy"
-        write_exr(raw.with_suffix(".exr"), np.load(raw).astype(np.float32) / p["gain"], half=True)
-        p["clip_level"] /= p["gain"]
-        p |= focal_guess(p)
-        raw.unlink()
-
-    write_json(
-        out / "photos.json",
-        {"scene": scene.name, "exposure": exposure, "unused": unused, "photos": photos},
-    )
+    divide_out_gains(photos, out / "images")
+    facts = {"scene": scene.name, "exposure": exposure, "unused": unused, "photos": photos}
+    write_json(out / "photos.json", facts)
     return {
         "photos": len(photos),
         "unused": len(unused),
-        "masks": len(masked),
+        "masks": masked,
         "exposure": exposure,
         "size": sorted({(p["width"], p["height"]) for p in photos}),
         "clipped_share": float(np.mean([p["clipped_share"] for p in photos])),
