@@ -34,7 +34,6 @@ STACK = (
     "snakemake",
     "threadpoolctl",
     "torch",
-    "trimesh",
     "usd-core",
     "xatlas",
 )
