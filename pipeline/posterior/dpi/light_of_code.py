@@ -45,5 +45,4 @@ def finished_sample(
 ) -> Explanation:
     """What a sampler returns that ends with `code` (1, 3, h, w) and `materials`."""
     with torch.no_grad():
-        radiance = prior.decode(code)[0].numpy().transpose(1, 2, 0)
-    return materials.explanation(np.ascontiguousarray(light_scale * radiance))
+        return materials.explanation(as_light(decoded(prior, code, light_scale)))

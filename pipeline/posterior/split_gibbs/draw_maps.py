@@ -24,8 +24,7 @@ def maps(rng: Randomness, model: Model, state: State, light: np.ndarray) -> dict
     """
     data, materials, size = model.data, state.materials, model.settings.texture
     rows = RowLikelihood.of(model.mixer, state)
-    U, W = rows.predict(light)
-    colors = rows.model.draw_colors(U, W, materials, rng.numpy)
+    _, _, colors = rows.draw_colors(light, rng.numpy)
 
     table = np.array(data.lobes.roughness)
     roughness, metallic = point_materials(data, materials, state.offsets)

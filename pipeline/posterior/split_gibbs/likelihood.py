@@ -185,6 +185,15 @@ class RowLikelihood:
         # numpy: 3 times faster than torch on so few columns
         return m.U.numpy() @ L + m.off_U @ B, m.W.numpy() @ L + m.off_W @ B
 
+    def draw_colors(
+        self, light: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the lobes see of a light, U and W (n, 3), and a draw of the points' colours (p, 3)
+        given that.
+        """
+        U, W = self.predict(light)
+        return U, W, self.model.draw_colors(U, W, self.materials, rng)
+
     def value(self, light: np.ndarray) -> float:
         """Log-likelihood of a light."""
         return float(self.model.point_values(*self.predict(light), self.materials).sum())

@@ -47,5 +47,4 @@ def drawn_colors(
     """The rows at a state of the start, what the lobes see U and W (n, 3), drawn colours (p, 3)."""
     rows = RowLikelihood.of(model.mixer, state)
     light = model.decoder(model.gaussian).light(state.code, state.log_scale)
-    U, W = rows.predict(light)
-    return rows, U, W, rows.model.draw_colors(U, W, state.materials, rng.numpy)
+    return rows, *rows.draw_colors(light, rng.numpy)
