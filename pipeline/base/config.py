@@ -103,6 +103,9 @@ class Atlas(Section):
         1024, ge=16, le=8192, description="texels along a side that padding is made for"
     )
     padding: int = Field(4, ge=0, le=32, description="texels between charts")
+    normal_map: bool = Field(
+        True, description="bake what decimation takes from the surface into a normal map"
+    )
 
 
 class Observe(Section):

@@ -34,6 +34,7 @@ from pipeline.render.light_grid import bilinear, grid_directions, light_weights
 from pipeline.render.observe import Observations
 from pipeline.render.principled_lobes import LOBES, PrincipledLobes
 from pipeline.render.rows import Rows
+from pipeline.render.shading_normals import shading_frames
 
 HIGHLIGHT_SAMPLES = 32  # directions per row drawn from the highlight
 LANES = 1 << 18  # directions evaluated at once: bounds memory, and keeps transposes in the cache
@@ -90,21 +91,21 @@ class Transport:
         self.h = h
         self.rng = np.random.default_rng([7, seed])
 
-        self._meet_surface(observations)
+        self._meet_surface(mesh_path, observations)
         self._lay_grid()
         self._place_nodes(mesh_path, nodes)
         self._look_around()
 
-    def _meet_surface(self, observations: Observations) -> None:
-        """Position (n, 3), shading frame (n, 3, 3: its rows are s, t and the normal), and local
-        direction to the camera (n, 3) of every row.
+    def _meet_surface(self, mesh_path: Path, observations: Observations) -> None:
+        """Position (n, 3), unmapped shading normal (n, 3), shading frame (n, 3, 3: its rows are s, t
+        and the normal, as the normal map has it), and local direction to the camera (n, 3) of every
+        row.
         """
         origins, directions = observations.centre_rays(self.rows.observation)
         si = self.scene.ray_intersect(mitsuba_rays(origins, directions))
-        axes = (si.sh_frame.s, si.sh_frame.t, si.sh_frame.n)
-
         self.position = np.array(si.p).T
-        self.frame = np.stack([np.array(axis).T for axis in axes], 1)
+        self.normal = np.array(si.sh_frame.n).T
+        self.frame = shading_frames(si, mesh_path)
         self.incident = np.einsum("nij,nj->ni", self.frame, -directions).astype(np.float32)
 
     def _lay_grid(self) -> None:
@@ -124,7 +125,7 @@ class Transport:
         nearest = cKDTree(points).query(elsewhere)[1]
 
         self.node_position = np.concatenate([points, elsewhere])
-        self.node_normal = np.concatenate([self.frame[first, 2], facing])
+        self.node_normal = np.concatenate([self.normal[first], facing])
         self.node_point = np.concatenate([np.arange(len(points)), nearest])
         self.node_tree = cKDTree(self.node_position)
         self.lift = LIFT * float(np.ptp(mesh.vertices, axis=0).max())
@@ -230,7 +231,8 @@ class Transport:
         wo = lobes.sample_highlight(si, seed)
         local = np.array(wo).T
         direction = np.einsum("nji,nj->ni", self.frame[row], local)
-        good = (local[:, 2] > 0) & np.isfinite(direction).all(1)
+        above = (self.normal[row] * direction).sum(1) > 0  # a mapped normal may see below the surface
+        good = (local[:, 2] > 0) & above & np.isfinite(direction).all(1)
 
         solid_angle = self._solid_angle_around(np.where(good[:, None], direction, [0, 1, 0]))
         density = 1 / solid_angle + HIGHLIGHT_SAMPLES * lobes.highlight_density(si, wo)
@@ -238,7 +240,7 @@ class Transport:
 
         meets = np.full(len(row), BELOW)
         outgoing = row[good]
-        meets[good] = self._trace(self.position[outgoing], self.frame[outgoing, 2], direction[good])
+        meets[good] = self._trace(self.position[outgoing], self.normal[outgoing], direction[good])
 
         free = np.flatnonzero(meets == LIGHT)
         pixel, weight = bilinear(direction[free], self.h)

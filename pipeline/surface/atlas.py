@@ -21,16 +21,33 @@ def rasterize(uv: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
 
     uv: (n, 2), v up; faces: (m, 3).
     """
-    corners = (uv * [1, -1] + [0, 1])[faces] * size
-    return _count(np.ascontiguousarray(corners), size)
+    return _cover(_corners(uv, faces, size), size)[0]
+
+
+def texel_faces(mesh: Mesh, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """The face that covers each texel centre (size, size), -1 where there is none, and the
+    barycentric coordinates of its three corners there (size, size, 3); row 0 is v = 1.
+    """
+    assert mesh.uv is not None
+    _, face, weight = _cover(_corners(mesh.uv, mesh.faces, size), size)
+    return face, np.concatenate([1 - weight.sum(-1, keepdims=True), weight], -1)
+
+
+def _corners(uv: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
+    """Corners (m, 3, 2) in texels, x right and y down."""
+    return np.ascontiguousarray((uv * [1, -1] + [0, 1])[faces] * size)
 
 
 @njit(cache=False)
-def _count(corners: np.ndarray, size: int) -> np.ndarray:
-    """The loop of `rasterize`: corners (m, 3, 2) in texels, x right and y down. Letters: a, b, c a
-    triangle's corners; s, t barycentric coordinates of b and c.
+def _cover(corners: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The loop of `rasterize` and `texel_faces`: how many triangles cover each texel centre, the
+    last of them (-1: none), and the barycentric coordinates (s, t) of its corners b and c.
+
+    corners: (m, 3, 2) in texels, x right and y down. Letters: a, b, c a triangle's corners.
     """
     count = np.zeros((size, size), np.int32)
+    face = np.full((size, size), -1, np.int32)
+    weight = np.zeros((size, size, 2))
     for k in range(len(corners)):
         a, b, c = corners[k]
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
@@ -49,7 +66,9 @@ def _count(corners: np.ndarray, size: int) -> np.ndarray:
                 t = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
                 if s > 1e-6 and t > 1e-6 and s + t < 1 - 1e-6:
                     count[row, column] += 1
-    return count
+                    face[row, column] = k
+                    weight[row, column] = s, t
+    return count, face, weight
 
 
 def judge(uv: np.ndarray, faces: np.ndarray, size: int = 1024) -> dict:
@@ -80,7 +99,12 @@ def unwrap(mesh: Mesh, settings: Atlas) -> tuple[Mesh, int]:
     pack.resolution = max(16, int(ASK * settings.resolution))
     pack.padding = settings.padding
     pack.bilinear = True
-    atlas.generate(xatlas.ChartOptions(), pack)
+    # xatlas turns a chart by swapping u and v, which mirrors it: a normal map's frame would turn
+    # inside out there, differently in every renderer (pipeline/geometry/normal_maps.py)
+    pack.rotate_charts = False
+    charts = xatlas.ChartOptions()
+    charts.fix_winding = True
+    atlas.generate(charts, pack)
     if atlas.atlas_count != 1:
         raise InputError(
             f"the surface needs {atlas.atlas_count} atlas pages",

@@ -19,6 +19,7 @@ from pipeline.geometry.cameras import Rig, load_cameras
 from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import hull_points
+from pipeline.surface.bake import DENSE
 from pipeline.surface.clean import facts, simplify, to_mesh
 from pipeline.surface.facts import SurfaceFacts
 from pipeline.surface.field import hull_of, projections, stacked, stereo_field
@@ -172,8 +173,9 @@ def _choose(settings: MeshSettings, share: float | None) -> tuple[str, str]:
 def make_mesh(
     poses: Path, masks_folder: Path, scene: Path, out: Path, settings: MeshSettings, threads: int
 ) -> dict:
-    """Write mesh.ply, surface.json (`SurfaceFacts`), preview.png and masks/ into `out`; returns
-    metrics and what was decided. The normals' error is 0 for a given mesh: its wobble is meant.
+    """Write mesh.ply, surface.json (`SurfaceFacts`), preview.png and masks/ into `out`, and where
+    the mesh was not given dense.ply, the surface before decimation; returns metrics and what was
+    decided. The normals' error is 0 for a given mesh: its wobble is meant.
     """
     rig = load_cameras(poses / "cameras.json")
     mesh = given_mesh(scene, rig)
@@ -192,7 +194,9 @@ def make_mesh(
         field, grid, metrics = build_field(
             rig, poses, masks, read_json(masks_folder / "confidence.json"), settings, given, threads
         )
-        mesh, more = simplify(to_mesh(field, grid), settings.faces)
+        dense = to_mesh(field, grid)
+        save_mesh(out / DENSE, dense)
+        mesh, more = simplify(dense, settings.faces)
         metrics |= more | {
             "cell": grid.cell,
             "normal_error": normal_wobble(mesh),
