@@ -42,8 +42,8 @@ def write_normal_map(path: Path, normals: np.ndarray) -> None:
 
 
 def read_normal_map(path: Path) -> np.ndarray:
-    """The values (t, t, 3) float32 in [0, 1] as they lie in the file, n / 2 + 1/2. Raises InputError
-    where it cannot be read.
+    """The values (t, t, 3) float32 in [0, 1] as they lie in the file, n / 2 + 1/2. Raises
+    InputError where it cannot be read.
     """
     values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if values is None or values.ndim != 3 or values.dtype != np.uint16:

@@ -97,9 +97,9 @@ class Transport:
         self._look_around()
 
     def _meet_surface(self, mesh_path: Path, observations: Observations) -> None:
-        """Position (n, 3), unmapped shading normal (n, 3), shading frame (n, 3, 3: its rows are s, t
-        and the normal, as the normal map has it), and local direction to the camera (n, 3) of every
-        row.
+        """Position (n, 3), unmapped shading normal (n, 3), shading frame (n, 3, 3: its rows are s,
+        t and the normal, as the normal map has it), and local direction to the camera (n, 3) of
+        every row.
         """
         origins, directions = observations.centre_rays(self.rows.observation)
         si = self.scene.ray_intersect(mitsuba_rays(origins, directions))
@@ -231,7 +231,9 @@ class Transport:
         wo = lobes.sample_highlight(si, seed)
         local = np.array(wo).T
         direction = np.einsum("nji,nj->ni", self.frame[row], local)
-        above = (self.normal[row] * direction).sum(1) > 0  # a mapped normal may see below the surface
+        above = (self.normal[row] * direction).sum(
+            1
+        ) > 0  # a mapped normal may see below the surface
         good = (local[:, 2] > 0) & above & np.isfinite(direction).all(1)
 
         solid_angle = self._solid_angle_around(np.where(good[:, None], direction, [0, 1, 0]))

@@ -12,6 +12,7 @@ from PIL import Image
 from pipeline.base.config import Scene
 from pipeline.base.images import in_rows, linear_to_srgb, read_exr, read_png, to_srgb8
 from pipeline.geometry.cameras import Rig, View
+from pipeline.geometry.normal_maps import normal_map_of, read_normal_map
 from pipeline.render.envmap import directions, mean_radiance, resample_area
 from pipeline.render.metrics import psnr, render_twice, render_view
 from pipeline.render.renderer import Explanation, Renderer
@@ -36,6 +37,14 @@ def heat(values: np.ndarray, top: float) -> np.ndarray:
 def shrink(texture: np.ndarray) -> np.ndarray:
     """A texture at the size that the page shows."""
     return cv2.resize(texture, (384, 384), interpolation=cv2.INTER_AREA)
+
+
+def normal_map(work: Path) -> bytes | None:
+    """The surface's normal map as it is exported, or None where it has none."""
+    path = normal_map_of(work / "atlas" / "mesh_uv.ply")
+    if path is None:
+        return None
+    return encode((shrink(read_normal_map(path)) * 255).astype(np.uint8))
 
 
 def contact_sheet(work: Path, rig: Rig, height: int = 150, limit: int = 18) -> bytes:

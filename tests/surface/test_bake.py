@@ -105,11 +105,17 @@ def mikk_tangents(mesh) -> np.ndarray:
     for corner in range(3):
         here, one, other = (mesh.faces[:, (corner + k) % 3] for k in range(3))
         normal = mesh.normals[here]
-        flat = lambda v: unit(v - (v * normal).sum(1, keepdims=True) * normal)
-        sides = [flat(mesh.vertices[end] - mesh.vertices[here]) for end in (one, other)]
-        angle = np.arccos(np.clip((sides[0] * sides[1]).sum(1), -1, 1))
-        np.add.at(total, here, angle[:, None] * flat(along))
+        sides = [
+            unit(in_plane(mesh.vertices[end] - mesh.vertices[here], normal)) for end in (one, other)
+        ]
+        angle = np.radians(degrees_between(*sides))
+        np.add.at(total, here, angle[:, None] * unit(in_plane(along, normal)))
     return unit(total)
+
+
+def in_plane(v, normal):
+    """v (n, 3) without its part along `normal`."""
+    return v - (v * normal).sum(1, keepdims=True) * normal
 
 
 def test_frames_agree_with_mikktspace(bumpy):
@@ -130,7 +136,9 @@ def test_frames_agree_with_mikktspace(bumpy):
         "kij,ki->kj", frames_of(face_tangents(mesh)[0][face], unit(blend(mesh.normals))), local
     )
     normal, tangent = blend(mesh.normals), blend(mikk_tangents(mesh))
-    theirs = np.einsum("kij,ki->kj", np.stack([tangent, np.cross(normal, tangent), normal], 1), local)
+    theirs = np.einsum(
+        "kij,ki->kj", np.stack([tangent, np.cross(normal, tangent), normal], 1), local
+    )
     assert np.median(degrees_between(ours, theirs)) < 0.2
     assert np.percentile(degrees_between(ours, theirs), 95) < 1
 
@@ -152,7 +160,8 @@ def test_where_there_is_no_map_the_metrics_say_why(tmp_path, bumpy):
     off = make_normal_map(bumpy, tmp_path, Atlas(normal_map=False))
     assert off == {"normal_map": "none: atlas.normal_map is off"}
     save_mesh(
-        tmp_path / "mesh_uv.ply", Mesh(mesh.vertices, mesh.faces, mesh.normals, 1 - mesh.uv[:, ::-1])
+        tmp_path / "mesh_uv.ply",
+        Mesh(mesh.vertices, mesh.faces, mesh.normals, 1 - mesh.uv[:, ::-1]),
     )
     assert "mirrors 100 %" in make_normal_map(bumpy, tmp_path, Atlas())["normal_map"]
     assert not (tmp_path / "normal.png").exists()
