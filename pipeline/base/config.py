@@ -92,9 +92,26 @@ class Mesh(Section):
     )
     grid: int = Field(256, ge=48, le=512, description="cells along the longest side of the volume")
     faces: int = Field(30000, ge=200, le=500000, description="triangles after decimation")
-    stereo_scale: float = Field(0.75, gt=0.05, le=1, description="image scale for stereo matching")
+    depth_pixels: int = Field(
+        3_000_000,
+        ge=50_000,
+        le=100_000_000,
+        description="object pixels over all photos that get a depth: bounds time on close-ups",
+    )
+    depth_scale: float = Field(
+        1.0, gt=0.05, le=1, description="largest image scale for depth, whatever depth_pixels is"
+    )
     min_agreement: float = Field(
-        0.25, ge=0, le=1, description="share of consistent stereo pixels below which hull alone"
+        0.25, ge=0, le=1, description="share of pixels with agreeing depth below which hull alone"
+    )
+    refine_steps: int = Field(
+        5,
+        ge=0,
+        le=100,
+        description="photometric refinement: steps at half and at full scale; 0: none",
+    )
+    plate: float = Field(
+        0.5, gt=0, le=100, description="photometric refinement: stiffness against the photos' noise"
     )
 
 
