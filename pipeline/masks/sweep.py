@@ -6,7 +6,8 @@ Planes swept through the object's sphere (Collins 1996) against the one plane of
 the homography that it induces (Hartley and Zisserman, Multiple View Geometry, 13.1). A pixel on
 bare ground matches best on the ground whatever shadow lies there, and one of the object matches
 better elsewhere or, where it is glossy, nowhere. Where nothing can be matched, on blank paper,
-both costs are the same and the pixel says nothing.
+both costs are the same and the pixel says nothing. Rays that pass the ground beside the object may
+end at a wall or a hedge: for them what lies behind the object's sphere stands for the ground.
 
 Letters: K (3, 3) intrinsics, R (3, 3) and t (3,) from the reference camera to another one, n unit
 normal (3,) and d distance of a plane n.x = d in the reference camera's frame.
@@ -65,8 +66,8 @@ def intrinsics(view: View, width: int, height: int) -> np.ndarray:
     return np.diag([width / view.width, height / view.height, 1]) @ view.K
 
 
-def region_of(rig: Rig, view: View, lab: np.ndarray) -> Region | None:
-    """What is to be matched of a photo: the box around the object's sphere, at LONGEST pixels at
+def region_of(rig: Rig, view: View, lab: np.ndarray, longest: int) -> Region | None:
+    """What is to be matched of a photo: the box around the object's sphere, at `longest` pixels at
     most. None where the sphere is out of sight.
     """
     height, width = lab.shape[:2]
@@ -76,7 +77,7 @@ def region_of(rig: Rig, view: View, lab: np.ndarray) -> Region | None:
 
     box = (int(rows.min()), int(rows.max()) + 1, int(columns.min()), int(columns.max()) + 1)
     y0, y1, x0, x1 = box
-    scale = min(1.0, LONGEST / max(y1 - y0, x1 - x0))
+    scale = min(1.0, longest / max(y1 - y0, x1 - x0))
     size = (max(1, round((x1 - x0) * scale)), max(1, round((y1 - y0) * scale)))
     small = cv2.resize(lab[y0:y1, x0:x1], size, interpolation=cv2.INTER_AREA)
 
@@ -151,14 +152,24 @@ def ground_or_above(rig: Rig, k: int, labs: dict[str, np.ndarray], height: float
     height; 0 where nothing can be said, as outside the sphere. labs: photos in CIELAB.
     """
     view = rig.views[k]
-    out = np.zeros(labs[view.name].shape[:2], np.float32)
-    beside = [rig.views[j] for j in neighbours(rig, k)]
-    region = region_of(rig, view, labs[view.name])
+    lab = labs[view.name]
+    out = np.zeros(lab.shape[:2], np.float32)
+    beside = [(rig.views[j], labs[rig.views[j].name]) for j in neighbours(rig, k)]
+    region = region_of(rig, view, lab, LONGEST)
     if region is None or len(beside) < 2:
         return out
 
-    matcher = Matcher(region, view, [(other, labs[other.name]) for other in beside])
-    ground = _ground_cost(matcher, view, rig, height)
+    matcher = Matcher(region, view, beside)
+    ground = _ground_cost(matcher, view, height)
+    passing = ~_meets_ground(matcher, view, rig, height)
+    if passing.any():
+        coarse = region_of(rig, view, lab, LONGEST // 2)
+        assert coarse is not None
+        far = cv2.resize(
+            _cost_behind(Matcher(coarse, view, beside), view, rig), passing.shape[::-1]
+        )
+        ground = np.where(passing, np.minimum(np.minimum(ground, far), UNMATCHED), ground)
+
     above = _least_cost_above(matcher, view, rig, height)
     odds = np.clip(GAIN * (ground - np.minimum(above, UNMATCHED)), -3, 3)
     odds = cv2.blur(np.where(np.isfinite(ground), odds, 0).astype(np.float32), (3, 3))
@@ -176,22 +187,42 @@ def _rays(matcher: Matcher, view: View) -> np.ndarray:
     return in_camera @ view.world_to_camera[:3, :3]
 
 
-def _ground_cost(matcher: Matcher, view: View, rig: Rig, height: float) -> np.ndarray:
-    """Cost (h, w) of the ground, infinite where too few photos see it.
-
-    A ray that meets it only beyond the object may end at anything, a wall or a hedge: that it does
-    not match on the ground says nothing there, and the cost is UNMATCHED at most.
+def _ground_cost(matcher: Matcher, view: View, height: float) -> np.ndarray:
+    """Cost (h, w) of the ground, infinite where the ray does not meet it or too few photos see
+    it.
     """
-    R = view.world_to_camera[:3, :3]
-    n = R[:, 1]
+    n = view.world_to_camera[:3, 1]
     cost = matcher.cost(n, height + float(n @ view.world_to_camera[:3, 3]))
+    return np.where(_rays(matcher, view)[..., 1] < -1e-3, cost, np.inf).astype(np.float32)
 
+
+def _meets_ground(matcher: Matcher, view: View, rig: Rig, height: float) -> np.ndarray:
+    """Which rays (h, w) meet the ground below or near the object."""
     rays = _rays(matcher, view)
     fall = np.minimum(rays[..., 1], -1e-6)
     hit = view.position + rays * ((height - view.position[1]) / fall)[..., None]
     near = np.linalg.norm(hit - rig.center, axis=-1) < VICINITY * rig.radius
-    near &= rays[..., 1] < -1e-3
-    return np.where(near, cost, np.minimum(cost, UNMATCHED)).astype(np.float32)
+    return near & (rays[..., 1] < -1e-3)
+
+
+def _depths(view: View, rig: Rig) -> tuple[float, float]:
+    """Nearest and farthest depth of the object's sphere, kept before the camera."""
+    middle = float(view.project(rig.center)[1])
+    nearest = max(middle - 1.1 * rig.radius, 0.1 * middle, 0.05 * rig.radius)
+    return nearest, middle + 1.1 * rig.radius
+
+
+def _cost_behind(matcher: Matcher, view: View, rig: Rig) -> np.ndarray:
+    """Least cost (h, w) over depths from behind the object's sphere to infinity, in the sweep's
+    steps.
+    """
+    first, last = _depths(view, rig)
+    step = (1 / first - 1 / last) / (LEVELS - 1)
+    inverse_depths = np.arange(1 / last - step, 0, -step)[:LEVELS]
+    out = np.full(matcher.lab.shape[:2], UNMATCHED, np.float32)
+    for inverse_depth in inverse_depths:
+        np.minimum(out, matcher.cost(np.array([0, 0, 1.0]), 1 / inverse_depth), out=out)
+    return out
 
 
 def _least_cost_above(matcher: Matcher, view: View, rig: Rig, height: float) -> np.ndarray:
@@ -207,11 +238,8 @@ def _least_cost_above(matcher: Matcher, view: View, rig: Rig, height: float) -> 
     far[b**2 <= a * c] = -1  # the ray misses the sphere
     floor = height + ABOVE * rig.radius
 
-    first = max(float(near[far > 0].min(initial=np.inf)), 0.05 * rig.radius)
-    last = float(far.max())
+    first, last = _depths(view, rig)
     out = np.full(a.shape, np.inf, np.float32)
-    if not np.isfinite(first) or last <= first:
-        return out
     for inverse_depth in np.linspace(1 / last, 1 / first, LEVELS):
         z = 1 / inverse_depth
         cost = matcher.cost(np.array([0, 0, 1.0]), z)
