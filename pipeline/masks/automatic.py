@@ -98,7 +98,8 @@ def find_object(
     threads: int,
 ) -> tuple[Things, dict[str, np.ndarray]]:
     """The object's volume and what stands beside it, and every view's log-odds (h, w)."""
-    floor = -np.inf if height is None else height
+    # a given mask may say that the object reaches below a ground that was found too high
+    floor = -np.inf if height is None or given else height
     hull = lambda odds: soft_hull(rig, with_given(rig, odds, given), floor, given, parts)
 
     matched = {v.name: np.zeros(labs[v.name].shape[:2], np.float32) for v in rig.views}

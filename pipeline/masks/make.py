@@ -76,8 +76,8 @@ def overlay(
     return in_rows(tiles, columns)
 
 
-def check(masks: dict, confidence: dict, method: str) -> list[str]:
-    """Warnings of masks that contradict each other; an InputError when they cannot be of use."""
+def check(masks: dict, method: str) -> None:
+    """Raises InputError when the masks cannot be of use."""
     area = {name: float(m.mean()) for name, m in masks.items()}
     black = [name for name, a in area.items() if a == 0]
     if method == "given" and black:
@@ -95,14 +95,21 @@ def check(masks: dict, confidence: dict, method: str) -> list[str]:
             CURE,
         )
 
+
+def said_of_agreement(confidence: dict, method: str) -> list[str]:
+    """Warnings of masks that contradict each other; confidence: of `agreement`, without the views
+    in which something hides the object.
+    """
     out = []
-    unsure = [name for name, c in confidence.items() if c["confidence"] < LEAST_AGREEMENT]
+    share = {name: c["confidence"] for name, c in confidence.items()}
+    unsure = [name for name, c in share.items() if c < LEAST_AGREEMENT]
     if unsure:
         out.append(
-            f"{len(unsure)} masks do not agree with the others and will not carve: "
-            f"{', '.join(unsure[:8])}"
+            f"masks that do not agree with the others and will not carve: {len(unsure)} of "
+            f"{len(share)} ({', '.join(unsure[:8])})"
         )
-    mean = float(np.mean([c["confidence"] for c in confidence.values()]))
+
+    mean = float(np.mean(list(share.values()))) if share else 1.0
     if method != "given" and mean < USUAL_AGREEMENT:
         out.append(
             f"the masks of the photos agree with each other by {100 * mean:.0f} % only (above "
@@ -131,8 +138,8 @@ def said_of_things(facts: dict) -> list[str]:
     hidden_in = facts.get("hidden_in", [])
     if hidden_in:
         out.append(
-            f"another thing stands before the object in {len(hidden_in)} photos, whose masks will "
-            f"not carve: {', '.join(hidden_in[:8])}"
+            "photos in which another thing stands before the object, whose masks will not carve: "
+            f"{len(hidden_in)} ({', '.join(hidden_in[:8])})"
         )
 
     miss = facts.get("axes_miss_by", 0.0)
@@ -149,11 +156,15 @@ def make_masks(poses: Path, out: Path, settings: Masks, threads: int) -> dict:
     rig = load_cameras(poses / "cameras.json")
     method = choose(poses, rig, settings)
     masks, facts = MASKERS[method](poses, rig, settings, threads)
+
     confidence = agreement(rig, masks)
-    for name in facts.get("hidden_in", []):
+    hidden_in = facts.get("hidden_in", [])
+    for name in hidden_in:
         confidence[name]["carve"] = False
 
-    warnings = check(masks, confidence, method) + said_of_things(facts)
+    whole = {name: c for name, c in confidence.items() if name not in hidden_in}
+    check(masks, method)
+    warnings = said_of_agreement(whole, method) + said_of_things(facts)
     for text in warnings:
         print(f"warning: {text}", file=sys.stderr)
 
