@@ -17,6 +17,7 @@ from pipeline.geometry.cameras import Rig, View
 from pipeline.geometry.voxels import Grid, sample, silhouette
 
 SMALLEST_OTHER = 0.03  # share of the object's cells below which something is not worth a word
+AIM = 0.25  # sphere radii by which a photographer's aim may scatter
 AXIS_CELLS = 4000  # cells that a thing is represented by where axes are held against it
 
 
@@ -44,12 +45,16 @@ def axis_distance(rig: Rig, points: np.ndarray) -> np.ndarray:
 
 
 def _convergence(rig: Rig, points: np.ndarray) -> float:
-    """How much of a thing the cameras' axes converge on: cells, each weighted by its nearness to
-    the axes (Gaussian of .35 sphere radii), mean over cameras.
+    """How much the cameras' axes converge on a thing: its mean side in cells, times how near the
+    axes come (Gaussian of AIM sphere radii).
+
+    How near: the median over cameras at a cell, and the nearest twentieth of the thing's cells. A
+    few axes that meet the thing on their way to the object do not count so.
     """
     step = max(1, len(points) // AXIS_CELLS)
-    distance = axis_distance(rig, points[::step]) / (0.35 * rig.radius)
-    return float(step * np.exp(-0.5 * distance**2).mean(0).sum())
+    distance = np.median(axis_distance(rig, points[::step]), axis=0) / (AIM * rig.radius)
+    nearest = np.percentile(distance, 5)
+    return float(np.cbrt(len(points)) * np.exp(-0.5 * nearest**2))
 
 
 def connected(points: np.ndarray, cell: float) -> list[np.ndarray]:
@@ -219,7 +224,8 @@ def nearest_depth(view: View, points: np.ndarray, cell: float, size: tuple[int, 
     out = np.full(h * w, np.inf, np.float32)
     np.minimum.at(out, (row * w + column)[framed], depth[framed].astype(np.float32))
     reach = _pixels(view, points, cell, w)
-    return cv2.erode(out.reshape(h, w), np.ones((2 * reach + 1,) * 2, np.uint8))
+    kernel = np.ones((2 * reach + 1,) * 2, np.uint8)
+    return cv2.erode(out.reshape(h, w), kernel, borderValue=np.inf)
 
 
 def hidden(view: View, things: Things, size: tuple[int, int]) -> np.ndarray:
