@@ -102,33 +102,63 @@ def find_object(
     floor = -np.inf if height is None or given else height
     hull = lambda odds: soft_hull(rig, with_given(rig, odds, given), floor, given, parts)
 
-    matched = {v.name: np.zeros(labs[v.name].shape[:2], np.float32) for v in rig.views}
-    colour = dict(matched)
+    odds = {
+        v.name: np.where(sphere_region(v, rig, working_size(v)), 0, -4).astype(np.float32)
+        for v in rig.views
+    }
     if height is not None:
-        matched = _of_all(
-            rig, lambda k: ground_or_above(rig, k, labs, height), threads, "ground or above it"
-        )
-        ground, spread = bare_ground(rig, labs, height)
-        colour = _of_all(
-            rig,
-            lambda k: ground_odds(
-                rig.views[k], rig, labs[rig.views[k].name], ground, spread, height
-            ),
-            threads,
-            "difference to bare ground",
-        )
-        first = hull(_sum(rig, matched, colour))
-        if len(first.points):
-            below = footprint(rig, first.points, first.cell, spread)
-            colour = {v.name: _above(v, rig, height, below, colour[v.name]) for v in rig.views}
-
-    odds = _sum(rig, matched, colour)
+        odds = _against_ground(rig, labs, height, hull, threads)
     odds = _with_colours(rig, labs, odds, given)
     things = hull(odds)
     if not len(things.points):
         what = "nothing above the ground plane stands out in the photos"
         raise InputError(what, "masks", CURE)
     return things, with_given(rig, odds, given)
+
+
+def _against_ground(
+    rig: Rig,
+    labs: dict[str, np.ndarray],
+    height: float,
+    hull: Callable[[dict[str, np.ndarray]], Things],
+    threads: int,
+) -> dict[str, np.ndarray]:
+    """Every view's log-odds (h, w) by matching and by colour. The bare ground is looked at twice,
+    the second time past the volume that the first time has shown.
+    """
+    matched = _of_all(
+        rig, lambda k: ground_or_above(rig, k, labs, height), threads, "ground or above it"
+    )
+    covered = {n: grow(o > 1, 3) for n, o in matched.items()}
+    colour, spread = _unlike_ground(rig, labs, height, covered, threads, "difference to ground")
+    first = hull(_sum(rig, matched, colour))
+    if not len(first.points):
+        return _sum(rig, matched, colour)
+
+    for v in rig.views:
+        covered[v.name] |= grow(silhouette(v, first.points, first.cell, working_size(v)), 3)
+    colour, spread = _unlike_ground(rig, labs, height, covered, threads, "past the object")
+    below = footprint(rig, first.points, first.cell, spread)
+    colour = {v.name: _above(v, rig, height, below, colour[v.name]) for v in rig.views}
+    return _sum(rig, matched, colour)
+
+
+def _unlike_ground(
+    rig: Rig,
+    labs: dict[str, np.ndarray],
+    height: float,
+    covered: dict[str, np.ndarray],
+    threads: int,
+    label: str,
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Every view's log-odds (h, w) by the colour of the bare ground, and how much that changes
+    between views (t, t).
+    """
+    ground, spread = bare_ground(rig, labs, height, covered)
+    by_colour = lambda k: ground_odds(
+        rig.views[k], rig, labs[rig.views[k].name], ground, spread, height
+    )
+    return _of_all(rig, by_colour, threads, label), spread
 
 
 def _of_all(

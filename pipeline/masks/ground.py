@@ -49,16 +49,18 @@ def ground_points(rig: Rig, height: float) -> np.ndarray:
 
 
 def bare_ground(
-    rig: Rig, labs: dict[str, np.ndarray], height: float
+    rig: Rig, labs: dict[str, np.ndarray], height: float, covered: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Median colour (t, t, 3) over views and its spread (t, t); NaN where fewer than four views
-    look.
+    look. covered: pixels (h, w) bool that show something before the ground and do not count.
     """
     points = ground_points(rig, height).reshape(-1, 3)
     stack = np.full((len(rig.views), len(points), 3), np.nan, np.float32)
     for k, v in enumerate(rig.views):
         value, inside = sample(v, labs[v.name], points, interpolate=True)
-        stack[k, inside] = value[inside]
+        before, _ = sample(v, covered[v.name].astype(np.uint8), points)
+        bare = inside & (before == 0)
+        stack[k, bare] = value[bare]
     median, spread, seen = _median_and_spread(stack)
 
     # seen from above, little ground hides behind the object: these views count alone where they can
