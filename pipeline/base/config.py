@@ -79,6 +79,11 @@ class Masks(Section):
     method: Literal["auto", "given", "plane", "onnx"] = Field(
         "auto", description="auto: given masks or alpha, else plane; onnx needs `onnx_model`"
     )
+    parts: Literal["one", "all"] = Field(
+        "one",
+        description="plane: one: the connected thing on which the cameras' axes converge; all: "
+        "everything that stands on the ground in the middle of the scene",
+    )
     onnx_model: Path | None = Field(
         None, description="path of an installed ISNet-like network (1x3x1024x1024)"
     )

@@ -420,15 +420,7 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
         print(f"{text} {unused[0]}", file=sys.stderr)
 
     photos = converted(found, scene, out, settings)
-    bare = [p["file"] for p in photos if not p["has_mask"]]
-    masked = len(photos) - len(bare)
-    if masked and bare:
-        raise InputError(
-            f"{len(bare)} of {len(photos)} photos have no mask, first {bare[0]}",
-            scene / "masks",
-            "add the missing masks, or remove the folder to have all of them made",
-        )
-
+    masked = sum(p["has_mask"] for p in photos)
     exposure = normalise_exposure(photos, settings.exposure)
     divide_out_gains(photos, out / "images")
     facts = {"scene": scene.name, "exposure": exposure, "unused": unused, "photos": photos}

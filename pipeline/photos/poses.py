@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 # unit normal n, offset of the plane n.x = offset, share of inliers
 Plane: TypeAlias = tuple[np.ndarray, float, float]
 TRIPLES = 6000  # tries for the ground plane
+TOLERANCES = 0.004, 0.01  # of the cameras' distance, for points on the ground: fine, coarse
 
 
 def positions(poses: list[np.ndarray]) -> np.ndarray:
@@ -67,21 +68,30 @@ def ground_plane(
     next to nothing below. The score is the share of inliers less twice the share of points well
     below. A general RANSAC counts inliers alone and finds a wall or a slope where the ground has
     little texture.
+
+    A fine tolerance comes first, and must leave next to nothing below: seen from afar, a slope
+    through a low object holds more points within the coarse one than the ground it stands on.
     """
     distance = np.median(np.linalg.norm(centers - middle, axis=1))
     near = xyz[np.linalg.norm(xyz - middle, axis=1) < 1.5 * distance]
     if len(near) < 50:
         return None
 
-    tolerance = 0.01 * distance
-    start = _best_of_triples(near, centers, up, tolerance, np.random.default_rng(seed))
+    for share in TOLERANCES:
+        tolerance = share * distance
+        start = _best_of_triples(near, centers, up, tolerance, np.random.default_rng(seed))
+        if start is None:
+            continue
+        n, offset = _refit(near, *start, up, tolerance)
+        inliers, below = _inliers_and_below(near, n, offset, tolerance)
+        plane = n, float(offset), inliers
+        if inliers >= 0.12 and below < 0.02:
+            return plane
+
     if start is None:
         return None
-    n, offset = _refit(near, *start, up, tolerance)
-
-    inliers, below = _inliers_and_below(near, n, offset, tolerance)
     bare = inliers >= 0.04 and inliers * len(near) >= 80 and below < 0.02
-    return (n, float(offset), inliers) if inliers >= 0.12 or bare else None
+    return plane if inliers >= 0.12 or bare else None
 
 
 def _inliers_and_below(

@@ -85,7 +85,6 @@ def make_mesh(
     rig = load_cameras(poses / "cameras.json")
     mesh = given_mesh(scene, rig)
     if mesh is not None:
-        given = True
         metrics = {
             "method": "given",
             "why": "the scene folder has a mesh",
@@ -100,23 +99,23 @@ def make_mesh(
     save_mesh(out / "mesh.ply", mesh)
     SurfaceFacts(metrics["normal_error"]).save(out)
     write_png(out / "preview.png", shaded(mesh))
+    kept = {v.name for v in rig.views}
+    if metrics["method"] == "fused":
+        kept = set(json_entry(masks_folder / "masks.json", "given"))
     metrics["mask_share_without_surface"] = surface_masks(
-        rig,
-        masks_folder / "masks",
-        mesh,
-        out / "masks",
-        trust_masks=metrics["method"] != "fused" or given,
+        rig, masks_folder / "masks", mesh, out / "masks", kept
     )
     return metrics
 
 
-def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, trust_masks: bool) -> float:
+def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, kept: set[str]) -> float:
     """Write each view's final mask; returns the share of the masks' pixels that the surface does
     not cover.
 
     Automatic masks may hold ground that stereo has told from the object, or miss a part that all
-    other views show: the fused surface knows better, and its silhouette is the final mask. Given
-    masks, and masks that alone made the surface, are kept as they are.
+    other views show: the fused surface knows better, and its silhouette is the final mask. The
+    masks of the views in `kept` stay as they are: those that were given, and all where they alone
+    made the surface.
     """
     out.mkdir()
     covered_in = Silhouette(mesh)
@@ -128,7 +127,7 @@ def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, trust_masks: boo
         covered = covered_in(v)
         missed += (mask & ~covered).sum()
         total += mask.sum()
-        write_png(out / f"{v.name}.png", (mask if trust_masks else covered) * np.uint8(255))
+        write_png(out / f"{v.name}.png", (mask if v.name in kept else covered) * np.uint8(255))
     return float(missed / max(total, 1))
 
 

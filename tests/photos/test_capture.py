@@ -111,7 +111,6 @@ def test_exposure_is_divided_out(scene, tmp_path):
         ),
         (lambda s: _mask(s, np.full((10, 10), 255, np.uint8)), "10x10"),
         (lambda s: _mask(s, np.zeros((24, 36), np.uint8)), "all black"),
-        (lambda s: _mask(s, np.full((24, 36), 255, np.uint8)), "have no mask"),
         (lambda s: Image.fromarray(PHOTO).save(s / "images" / "bild 1 ä.jpg"), "two photos"),
         (
             lambda s: (s / "transforms.json").write_text(
@@ -281,3 +280,10 @@ def test_symbolic_links_of_the_users_own_work(scene, tmp_path, linked):
     name_photos(scene, photos)
     _, metrics, _ = run(link, tmp_path)
     assert metrics["photos"] == 4 and metrics["unused"] == 0
+
+
+def test_masks_of_some_photos_are_taken_as_they_are(scene, tmp_path):
+    _mask(scene, np.full((24, 36), 255, np.uint8))
+    out, metrics, photos = run(scene, tmp_path)
+    assert metrics["masks"] == 1 and sum(p["has_mask"] for p in photos) == 1
+    assert len(list((out / "masks").iterdir())) == 1
