@@ -35,7 +35,6 @@ STACK = (
     "threadpoolctl",
     "torch",
     "usd-core",
-    "xatlas",
 )
 
 

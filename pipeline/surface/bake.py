@@ -18,8 +18,8 @@ from pipeline.base.config import Atlas
 from pipeline.geometry import normal_maps
 from pipeline.geometry.mesh_io import Mesh, load_mesh, unit
 from pipeline.geometry.normal_maps import face_tangents, frames_of
-from pipeline.surface.atlas import texel_faces
 from pipeline.surface.preview import caster
+from pipeline.surface.raster import texel_faces
 
 DENSE = "dense.ply"  # the mesh stage's surface before decimation, beside its mesh.ply
 MIRRORED = 0.001  # share of the atlas that may be mirrored: slivers

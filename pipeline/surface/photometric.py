@@ -49,8 +49,8 @@ class Refinement:
     object's photos have more the scales are reduced.
     """
 
-    scales: tuple[float, ...] = (0.25, 0.5, 1.0)
-    steps: tuple[int, ...] = (6, 6, 6)
+    scales: tuple[float, ...] = (0.5, 1.0)
+    steps: tuple[int, ...] = (3, 5)
     plate: float = 1.0
     crease: float = 0.5
     pixels: float = 12e6

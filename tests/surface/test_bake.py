@@ -13,8 +13,9 @@ from pipeline.geometry.normal_maps import (
     read_normal_map,
     write_normal_map,
 )
-from pipeline.surface.atlas import make_atlas, texel_faces, unwrap
+from pipeline.surface.atlas import make_atlas, unwrap
 from pipeline.surface.bake import bake, make_normal_map
+from pipeline.surface.raster import texel_faces
 from tests.conftest import sphere
 
 degrees_between = lambda a, b: np.degrees(np.arccos(np.clip((unit(a) * unit(b)).sum(1), -1, 1)))

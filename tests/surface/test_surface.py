@@ -8,12 +8,13 @@ from pipeline.geometry.cameras import Rig
 from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh, vertex_normals
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import agreement, hull_points
-from pipeline.surface.atlas import judge, make_atlas, rasterize
+from pipeline.surface.atlas import judge, make_atlas
 from pipeline.surface.clean import facts, largest_solid, signed_volume, simplify, to_mesh
 from pipeline.surface.depth import Depth
 from pipeline.surface.field import hull_of
 from pipeline.surface.fusion import coarse_hull, fuse
 from pipeline.surface.make import given_mesh
+from pipeline.surface.raster import rasterize
 
 
 def silhouettes(views, radius=0.5):
