@@ -193,7 +193,7 @@ def _captured(tmp_path, pictures):
     for k, picture in enumerate(pictures):
         Image.fromarray(picture).save(tmp_path / "scene" / "images" / f"{k}.png")
     (tmp_path / "capture").mkdir()
-    capture(tmp_path / "scene", tmp_path / "capture", Capture())
+    capture(tmp_path / "scene", tmp_path / "capture", Capture(leave_out="none"))
     (tmp_path / "poses").mkdir()
     return tmp_path / "capture", tmp_path / "scene", tmp_path / "poses"
 
