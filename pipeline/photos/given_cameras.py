@@ -47,7 +47,7 @@ class Lens:
             self.fx,
             self.height - self.cy,
             self.cx,
-            (k1, k2, -p2, p1),
+            (k1, k2, p2, -p1),
         )
 
     def at(self, width: int, height: int) -> Lens:
