@@ -242,6 +242,19 @@ def in_words(dropped: dict[str, list[str]]) -> list[str]:
     ]
 
 
+def masked_photos(photos: list[dict], scene: Path) -> int:
+    """How many photos have a mask: all or none. InputError where some have none."""
+    bare = [p["file"] for p in photos if not p["has_mask"]]
+    masked = len(photos) - len(bare)
+    if masked and bare:
+        raise InputError(
+            f"{len(bare)} of {len(photos)} photos have no mask, first {bare[0]}",
+            scene / "masks",
+            "add the missing masks, or remove the folder to have all of them made",
+        )
+    return masked
+
+
 def capture(scene: Path, out: Path, settings: Capture) -> dict:
     """Convert every photo of `scene` into `out`/images/*.exr (half, linear), saturated/*.png,
     masks/*.png and photos.json.
@@ -268,15 +281,7 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
     sentences = in_words(dropped)
     for sentence in sentences:
         print(sentence, file=sys.stderr)
-    bare = [p["file"] for p in photos if not p["has_mask"]]
-    masked = len(photos) - len(bare)
-    if masked and bare:
-        raise InputError(
-            f"{len(bare)} of {len(photos)} photos have no mask, first {bare[0]}",
-            scene / "masks",
-            "add the missing masks, or remove the folder to have all of them made",
-        )
-
+    masked = masked_photos(photos, scene)
     exposure = normalise_exposure(photos, settings.exposure)
     divide_out_gains(photos, out / "images")
     facts = {"scene": scene.name, "exposure": exposure, "left_out": dropped, "photos": photos}

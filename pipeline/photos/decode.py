@@ -236,7 +236,6 @@ def _exif_facts(tags: Image.Exif) -> dict:
         "time": number(0x829A),
         "f_number": number(0x829D),
         "iso": iso,
-        "taken": str(ifd.get(0x9003, "")).strip("\0 "),
     }
     return {k: v for k, v in facts.items() if v}
 

@@ -486,6 +486,33 @@ def _given(
     return kept, lenses, poses, center, 0.5 * float(distance), points, facts
 
 
+def _photometry(
+    views: list[View],
+    out: Path,
+    points: dict,
+    sphere: tuple[np.ndarray, float],
+    scene: Path,
+    settings: Poses,
+) -> tuple[list[View], dict]:
+    """What matched points say of light that moves with the camera (facts, `warnings` among them, or
+    InputError), and of the photos' gains, which are divided out of the pictures under `out`. Views
+    and facts. sphere: the object's centre and radius.
+    """
+    brightness = point_brightness(views, out, points)
+    stops = gains(brightness)
+    green = brightness[..., 1] - stops[:, 1, None]
+    motion = light_motion(views, green, points["xyz"], *sphere)
+    accept = settings.moving_light == "accept"
+    facts: dict = {
+        "light_motion": motion.facts(),
+        "warnings": check(motion, str(scene), accept),
+    }
+    if settings.match_exposure:
+        views, matched = match_exposure(views, out, stops)
+        facts |= matched
+    return views, facts
+
+
 def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: int) -> dict:
     """Write cameras.json, images/, masks/ and points.npz into `out`; returns metrics.
 
@@ -508,17 +535,9 @@ def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: 
     with_camera = {p["name"] for p in kept}
     facts["unregistered"] = [p["name"] for p in photos if p["name"] not in with_camera]
     views = write_views(capture, out, kept, lenses, poses)
-    warnings = []
     if len(points["xyz"]):
-        brightness = point_brightness(views, out, points)
-        stops = gains(brightness)
-        green = brightness[..., 1] - stops[:, 1, None]
-        motion = light_motion(views, green, points["xyz"], center, radius)
-        facts["light_motion"] = motion.facts()
-        warnings = check(motion, str(scene), settings.moving_light == "accept")
-        if settings.match_exposure:
-            views, matched = match_exposure(views, out, stops)
-            facts |= matched
+        views, seen = _photometry(views, out, points, (center, radius), scene, settings)
+        facts |= seen
 
     np.savez_compressed(out / "points.npz", **points)
     save_cameras(out / "cameras.json", Rig(views, center, radius, facts["source"], facts))
@@ -527,5 +546,4 @@ def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: 
         "photos": len(photos),
         "points": len(points["xyz"]),
         "radius": radius,
-        "warnings": warnings,
     } | facts
