@@ -32,14 +32,21 @@ class Capture(Section):
         1200, ge=64, le=8192, description="long side in pixels that later stages work at"
     )
     encoding: Literal["auto", "srgb", "linear"] = Field(
-        "auto", description="auto: EXR is linear, everything else sRGB"
+        "auto",
+        description="auto: EXR is linear, everything else as its colour profile says, or sRGB; "
+        "srgb and linear: read so, profiles ignored",
     )
     exposure: Literal["exif", "none"] = Field(
         "exif",
-        description="exif: divide by exposure time x ISO / f-number^2 relative to the median photo",
+        description="exif: divide by exposure time x ISO / f-number^2, relative to the mean in log",
     )
     clip_fraction: float = Field(
         0.985, gt=0.5, le=1, description="fraction of full scale that counts as saturated"
+    )
+    leave_out: Literal["auto", "none"] = Field(
+        "auto",
+        description="auto: doubles of a burst, and blurred photos up to a fifth of all, are left "
+        "out, unless cameras are given; none: every photo stays",
     )
 
 
@@ -55,14 +62,21 @@ class Poses(Section):
         description="auto: exhaustive up to 60 photos, then sequential with quadratic overlap",
     )
     camera: Literal["auto", "single", "per_image"] = Field(
-        "auto", description="auto: one camera if sizes and EXIF agree"
+        "auto",
+        description="auto: photos of one size (either way up) and one focal length share a camera",
     )
     min_registered: float = Field(
         0.9, gt=0, le=1, description="below this share a second, more thorough attempt is made"
     )
     match_exposure: bool = Field(
         True,
-        description="divide out brightness that matched points show beyond EXIF, if it is much",
+        description="divide out brightness and white balance that matched points show beyond EXIF, "
+        "where they are much",
+    )
+    moving_light: Literal["refuse", "accept"] = Field(
+        "refuse",
+        description="what to do when the light moves with the camera (turntable, flash), which one "
+        "distant light cannot explain: stop with the reason, or go on with a warning",
     )
     object_size: float | None = Field(
         None, gt=0, description="object's diameter in metres; none: unit-size asset"

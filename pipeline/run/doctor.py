@@ -22,6 +22,7 @@ STACK = (
     "open3d",
     "opencv-python-headless",
     "OpenEXR",
+    "pi-heif",
     "pillow",
     "psutil",
     "pycolmap",
