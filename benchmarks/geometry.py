@@ -1,4 +1,5 @@
-"""Mesh and cameras against truth: F-score, Chamfer distance, camera errors.
+"""Mesh, its shading normals and cameras against truth: F-score, Chamfer distance, angles, camera
+errors.
 
 python -m benchmarks.geometry --mesh work/garden/mesh/mesh.ply \\
     --cameras work/garden/poses/cameras.json --truth examples/garden/truth/mesh.ply \\
@@ -7,31 +8,55 @@ python -m benchmarks.geometry --mesh work/garden/mesh/mesh.ply \\
 The reconstruction is brought into the truth's frame by the similarity between camera centres
 (Umeyama 1991), then by a few steps of ICP on mutually near points, because poses and surface may
 differ by a small rigid motion. `--above` leaves out truth surface below that height: the underside,
-which no photo shows.
+which no photo shows. Normals are compared in the cameras' pixels (`benchmarks.normals`).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pipeline.geometry.cameras import load_cameras
+from benchmarks.normals import NormalCaster, angles, chosen, normal_scores, pixel_rays
+from pipeline.geometry.cameras import View, load_cameras
 from pipeline.geometry.mesh_io import Mesh, load_mesh, sample_surface
+from pipeline.surface.preview import caster
 
 
-def umeyama(a: np.ndarray, b: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Scale, rotation, shift with b = scale R a + shift in the least-squares sense; a, b (n, 3)."""
+@dataclass
+class Similarity:
+    """x -> scale rotation x + shift, for points (n, 3)."""
+
+    scale: float
+    rotation: np.ndarray
+    shift: np.ndarray
+
+    def points(self, x: np.ndarray) -> np.ndarray:
+        return self.scale * x @ self.rotation.T + self.shift
+
+    def directions(self, x: np.ndarray) -> np.ndarray:
+        return x @ self.rotation.T
+
+    def then(self, after: Similarity) -> Similarity:
+        """This one first, then `after`."""
+        return Similarity(
+            after.scale * self.scale, after.rotation @ self.rotation, after.points(self.shift)
+        )
+
+
+def umeyama(a: np.ndarray, b: np.ndarray) -> Similarity:
+    """The similarity that takes a to b in the least-squares sense; a, b (n, 3)."""
     mean_a = a.mean(0)
     mean_b = b.mean(0)
     u, values, vt = np.linalg.svd((b - mean_b).T @ (a - mean_a))
     sign = np.diag([1, 1, np.linalg.det(u @ vt)])
     rotation = u @ sign @ vt
     scale = (values * np.diag(sign)).sum() / ((a - mean_a) ** 2).sum()
-    return scale, rotation, mean_b - scale * rotation @ mean_a
+    return Similarity(scale, rotation, mean_b - scale * rotation @ mean_a)
 
 
 def even(count: int) -> np.ndarray:
@@ -45,8 +70,6 @@ def even(count: int) -> np.ndarray:
 
 def outer(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     """Points not buried inside another part: some direction of 64 leaves the mesh unhindered."""
-    from pipeline.surface.preview import caster
-
     scene, o3d = caster(mesh)
     free = np.zeros(len(points), bool)
     size = np.linalg.norm(np.ptp(mesh.vertices, axis=0))
@@ -58,15 +81,38 @@ def outer(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     return free
 
 
-def icp(a: np.ndarray, b: np.ndarray, limit: float, steps: int = 20) -> np.ndarray:
-    """Rigidly move a onto b using pairs nearer than `limit`."""
+def icp(a: np.ndarray, b: np.ndarray, limit: float, steps: int = 20) -> Similarity:
+    """The rigid motion of a onto b by pairs nearer than `limit`."""
     tree = cKDTree(b)
+    motion = Similarity(1.0, np.eye(3), np.zeros(3))
     for _ in range(steps):
-        distance, index = tree.query(a)
+        moved = motion.points(a)
+        distance, index = tree.query(moved)
         near = distance < limit
-        _, rotation, _ = umeyama(a[near], b[index[near]])
-        a = (a - a[near].mean(0)) @ rotation.T + b[index[near]].mean(0)
-    return a
+        rotation = umeyama(moved[near], b[index[near]]).rotation
+        shift = b[index[near]].mean(0) - rotation @ moved[near].mean(0)
+        motion = motion.then(Similarity(1.0, rotation, shift))
+    return motion
+
+
+def normal_errors(
+    mesh: Mesh, truth: Mesh, to_truth: Similarity, views: list[View], above: float
+) -> np.ndarray:
+    """Angles (n,) in degrees between the shading normals of `mesh` and of `truth`, in the pixels of
+    `views` that show both, where the truth lies above the height `above`.
+    """
+    cast = NormalCaster(mesh)
+    cast_truth = NormalCaster(truth)
+    errors = []
+    for view in chosen(views):
+        origins, directions = pixel_rays(view)
+        _, normals, hit = cast(origins, directions)
+        points, true, true_hit = cast_truth(
+            to_truth.points(origins), to_truth.directions(directions)
+        )
+        both = hit & true_hit & (points[:, 1] > above)
+        errors.append(angles(to_truth.directions(normals[both]), true[both]))
+    return np.concatenate(errors)
 
 
 def surface_scores(accuracy: np.ndarray, completeness: np.ndarray, extent: np.ndarray) -> dict:
@@ -104,27 +150,30 @@ def main() -> None:
     true_pose = {Path(f["file_path"]).stem: np.array(f["transform_matrix"]) for f in frames}
     found = np.stack([v.position for v in rig.views])
     true = np.stack([true_pose[v.name][:3, 3] for v in rig.views])
-    scale, rotation, shift = umeyama(found, true)
-    camera_error = np.linalg.norm(scale * found @ rotation.T + shift - true, axis=1)
+    to_truth = umeyama(found, true)
+    camera_error = np.linalg.norm(to_truth.points(found) - true, axis=1)
 
     rng = np.random.default_rng(0)
     mesh = load_mesh(args.mesh)
     truth = load_mesh(args.truth)
-    a = scale * sample_surface(mesh, args.points, rng)[0] @ rotation.T + shift
+    a = to_truth.points(sample_surface(mesh, args.points, rng)[0])
     b = sample_surface(truth, 2 * args.points, rng)[0]
     b = b[outer(truth, b)]
 
     extent = np.ptp(truth.vertices, axis=0)
-    a = icp(a, b, 0.02 * np.linalg.norm(extent))
+    motion = icp(a, b, 0.02 * np.linalg.norm(extent))
+    to_truth = to_truth.then(motion)
+    a = motion.points(a)
     a = a[a[:, 1] > args.above]
     b = b[b[:, 1] > args.above]
     accuracy = cKDTree(b).query(a)[0]
     completeness = cKDTree(a).query(b)[0]
 
     facts = surface_scores(accuracy, completeness, extent)
+    facts |= normal_scores(normal_errors(mesh, truth, to_truth, rig.views, args.above))
     facts |= {
         "camera_error_median_percent": 100 * float(np.median(camera_error)) / extent.max(),
-        "scale": scale,
+        "scale": to_truth.scale,
         "size": extent.max(),
     }
     print(json.dumps(facts, default=float))

@@ -145,7 +145,9 @@ def lit_samples(work: Path) -> list[Path]:
     found = [f.parent for f in (work / "refine").glob("*/refine.json") if f.parent.name.isdigit()]
     if not found:
         raise InputError(
-            "no refined sample", work / "refine", "make the scene first: snakemake exports/NAME.usda"
+            "no refined sample",
+            work / "refine",
+            "make the scene first: snakemake exports/NAME.usda",
         )
     return sorted(found, key=lambda folder: int(folder.name))
 
