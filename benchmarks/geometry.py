@@ -22,6 +22,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.normals import NormalCaster, angles, chosen, normal_scores, pixel_rays
+from pipeline.base.errors import InputError, run_stage
 from pipeline.geometry.cameras import View, load_cameras
 from pipeline.geometry.mesh_io import Mesh, load_mesh, sample_surface
 from pipeline.surface.preview import caster
@@ -82,13 +83,21 @@ def outer(mesh: Mesh, points: np.ndarray) -> np.ndarray:
 
 
 def icp(a: np.ndarray, b: np.ndarray, limit: float, steps: int = 20) -> Similarity:
-    """The rigid motion of a onto b by pairs nearer than `limit`."""
+    """The rigid motion of a onto b by pairs nearer than `limit`. Raises InputError where there are
+    fewer than three.
+    """
     tree = cKDTree(b)
     motion = Similarity(1.0, np.eye(3), np.zeros(3))
     for _ in range(steps):
         moved = motion.points(a)
         distance, index = tree.query(moved)
         near = distance < limit
+        if near.sum() < 3:
+            raise InputError(
+                "the mesh is not near the truth",
+                "benchmarks.geometry",
+                "check that --cameras and --mesh are of one scene, and --truth-cameras of its truth",
+            )
         rotation = umeyama(moved[near], b[index[near]]).rotation
         shift = b[index[near]].mean(0) - rotation @ moved[near].mean(0)
         motion = motion.then(Similarity(1.0, rotation, shift))
@@ -135,49 +144,67 @@ def surface_scores(accuracy: np.ndarray, completeness: np.ndarray, extent: np.nd
     }
 
 
+def true_positions(views: list[View], truth_cameras: Path) -> np.ndarray:
+    """Positions (n, 3) of `views` by a transforms file in the truth's frame."""
+    frames = json.loads(truth_cameras.read_text())["frames"]
+    poses = {Path(f["file_path"]).stem: np.array(f["transform_matrix"]) for f in frames}
+    return np.stack([poses[view.name][:3, 3] for view in views])
+
+
+def compare(
+    mesh_file: Path,
+    cameras: Path,
+    truth_file: Path,
+    truth_cameras: Path,
+    above: float = -np.inf,
+    points: int = 100_000,
+) -> dict:
+    """Errors of a mesh, of its shading normals and of its cameras. Only truth above the height
+    `above` counts; `points` are drawn on the mesh, twice as many on the truth.
+    """
+    views = load_cameras(cameras).views
+    found = np.stack([view.position for view in views])
+    true = true_positions(views, truth_cameras)
+    to_truth = umeyama(found, true)
+    camera_error = np.linalg.norm(to_truth.points(found) - true, axis=1)
+
+    rng = np.random.default_rng(0)
+    mesh = load_mesh(mesh_file)
+    truth = load_mesh(truth_file)
+    a = to_truth.points(sample_surface(mesh, points, rng)[0])
+    b = sample_surface(truth, 2 * points, rng)[0]
+    b = b[outer(truth, b)]
+
+    extent = np.ptp(truth.vertices, axis=0)
+    motion = icp(a, b, 0.02 * float(np.linalg.norm(extent)))
+    to_truth = to_truth.then(motion)
+    a = motion.points(a)
+    a = a[a[:, 1] > above]
+    b = b[b[:, 1] > above]
+    accuracy = cKDTree(b).query(a)[0]
+    completeness = cKDTree(a).query(b)[0]
+
+    facts = surface_scores(accuracy, completeness, extent)
+    facts |= normal_scores(normal_errors(mesh, truth, to_truth, views, above))
+    return facts | {
+        "camera_error_median_percent": 100 * float(np.median(camera_error)) / extent.max(),
+        "scale": float(to_truth.scale),
+        "size": float(extent.max()),
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     for name in ("mesh", "cameras", "truth", "truth-cameras"):
         parser.add_argument(f"--{name}", type=Path, required=True)
-    parser.add_argument("--above", type=float, default=-1e9)
-    parser.add_argument("--points", type=int, default=100000)
+    parser.add_argument("--above", type=float, default=-np.inf)
+    parser.add_argument("--points", type=int, default=100_000)
     args = parser.parse_args()
-
-    rig = load_cameras(args.cameras)
-    frames = json.loads(args.truth_cameras.read_text())["frames"]
-    true_pose = {Path(f["file_path"]).stem: np.array(f["transform_matrix"]) for f in frames}
-    found = np.stack([v.position for v in rig.views])
-    true = np.stack([true_pose[v.name][:3, 3] for v in rig.views])
-    to_truth = umeyama(found, true)
-    camera_error = np.linalg.norm(to_truth.points(found) - true, axis=1)
-
-    rng = np.random.default_rng(0)
-    mesh = load_mesh(args.mesh)
-    truth = load_mesh(args.truth)
-    a = to_truth.points(sample_surface(mesh, args.points, rng)[0])
-    b = sample_surface(truth, 2 * args.points, rng)[0]
-    b = b[outer(truth, b)]
-
-    extent = np.ptp(truth.vertices, axis=0)
-    motion = icp(a, b, 0.02 * np.linalg.norm(extent))
-    to_truth = to_truth.then(motion)
-    a = motion.points(a)
-    a = a[a[:, 1] > args.above]
-    b = b[b[:, 1] > args.above]
-    accuracy = cKDTree(b).query(a)[0]
-    completeness = cKDTree(a).query(b)[0]
-
-    facts = surface_scores(accuracy, completeness, extent)
-    facts |= normal_scores(normal_errors(mesh, truth, to_truth, rig.views, args.above))
-    facts |= {
-        "camera_error_median_percent": 100 * float(np.median(camera_error)) / extent.max(),
-        "scale": to_truth.scale,
-        "size": extent.max(),
-    }
-    print(json.dumps(facts, default=float))
+    files = (args.mesh, args.cameras, args.truth, args.truth_cameras)
+    print(json.dumps(compare(*files, args.above, args.points), default=float))
 
 
 if __name__ == "__main__":
-    main()
+    run_stage(main)

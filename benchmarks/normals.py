@@ -4,8 +4,8 @@ python -m benchmarks.normals --mesh work/nerf_lego/mesh/mesh.ply \\
     --cameras work/nerf_lego/poses/cameras.json --scene FOLDER
 
 Against a true mesh: `benchmarks.geometry`, which first brings both into one frame. Against pictures
-of true normals: this command, for scene folders in the NeRF-synthetic format whose test views have
-them (FOLDER/test/r_0_normal.png: (n + 1) / 2 in the cameras' own Z-up world).
+of true normals: this command, for scenes of the NeRF-synthetic set, whose test views have them
+(FOLDER/test/r_0_normal.png).
 
 A shading normal is what light falls on: the vertex normals, interpolated over the triangle that the
 pixel's central ray meets. Pixels count where both surfaces are met.
@@ -17,11 +17,11 @@ import argparse
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import read_json
+from pipeline.base.images import read_png, srgb_to_linear
 from pipeline.geometry.cameras import Y_FROM_Z_UP, View, load_cameras
 from pipeline.geometry.mesh_io import Mesh, load_mesh, unit
 from pipeline.photos.capture import path_in_scene, photo_name
@@ -29,6 +29,7 @@ from pipeline.surface.preview import caster
 
 SIDE = 320  # longest side in pixels of the views in which normals are compared
 VIEWS = 12  # at most so many, evenly chosen
+CLIPPED = 0.005  # by so much a true normal's length may differ from 1: .1 in a clipped component
 
 
 class NormalCaster:
@@ -108,35 +109,40 @@ def true_normal_pictures(scene: Path) -> dict[str, Path]:
     return found
 
 
-def read_normals(picture: Path, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """True unit normals (h w, 3) of the view's pixels in the library's Y-up frame, and which pixels
-    show the object (h w,).
+def read_normals(picture: Path) -> tuple[np.ndarray, np.ndarray]:
+    """True unit normals (h, w, 3) in the library's Y-up frame, and which pixels have one (h, w).
+
+    Blender wrote them like a colour: components in the cameras' own Z-up world, negative ones
+    clipped to 0, sRGB-encoded. What was clipped, and what mixes two surfaces, is shorter than 1 and
+    left out.
     """
-    pixels = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)[..., [2, 1, 0, 3]] / 255.0
-    size = (view.width, view.height)
-    pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).reshape(-1, 4)
-    return unit((2 * pixels[:, :3] - 1) @ Y_FROM_Z_UP[:3, :3].T), pixels[:, 3] > 0.999
+    normals = srgb_to_linear(read_png(picture)[..., :3] / 255.0)
+    whole = np.abs(np.linalg.norm(normals, axis=-1) - 1) < CLIPPED
+    return normals @ Y_FROM_Z_UP[:3, :3].T, whole
+
+
+def picture_scores(mesh: Path, cameras: Path, scene: Path) -> dict:
+    """Statistics of the angles between the normals of `mesh` and the pictures of `scene`."""
+    pictures = true_normal_pictures(scene)
+    cast = NormalCaster(load_mesh(mesh))
+    errors = []
+    for view in load_cameras(cameras).views:
+        if view.name in pictures:
+            true, whole = read_normals(pictures[view.name])
+            _, normals, hit = cast(*pixel_rays(view.scaled(whole.shape[1] / view.width)))
+            both = whole.ravel() & hit
+            errors.append(angles(normals[both], unit(true.reshape(-1, 3)[both])))
+    return normal_scores(np.concatenate(errors))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--mesh", type=Path, required=True)
-    parser.add_argument("--cameras", type=Path, required=True)
-    parser.add_argument("--scene", type=Path, required=True)
+    for name in ("mesh", "cameras", "scene"):
+        parser.add_argument(f"--{name}", type=Path, required=True)
     args = parser.parse_args()
-
-    pictures = true_normal_pictures(args.scene)
-    cast = NormalCaster(load_mesh(args.mesh))
-    views = [view for view in load_cameras(args.cameras).views if view.name in pictures]
-    errors = []
-    for view in chosen(views):
-        true, shown = read_normals(pictures[view.name], view)
-        _, normals, hit = cast(*pixel_rays(view))
-        both = shown & hit
-        errors.append(angles(normals[both], true[both]))
-    print(json.dumps(normal_scores(np.concatenate(errors))))
+    print(json.dumps(picture_scores(args.mesh, args.cameras, args.scene)))
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ from pipeline.render.observe import Observations, Tracer, object_pixels
 PIXELS = 6_000_000  # at most so many of all photos' pixels, evenly over them
 CHUNK = 1 << 20  # pixels splatted at once
 PASSES = 4  # of the robust mean; the first one is the plain mean
-OUTLIER = 0.15  # sRGB difference at which a pixel keeps a quarter of its weight
+OUTLIER = 0.3  # sRGB difference at which a pixel keeps a quarter of its weight
 LEAST_WEIGHT = 0.05  # pixels' weight from which a texel counts as seen
 SUBPIXELS = 4  # rays along each side of a scored pixel
 
@@ -76,14 +76,15 @@ def photo_pixels(
     return PhotoPixels(*(np.concatenate(columns) for columns in zip(*parts)))
 
 
-def bake(pixels: PhotoPixels, size: int) -> tuple[np.ndarray, np.ndarray]:
+def bake(pixels: PhotoPixels, size: int, passes: int = PASSES) -> tuple[np.ndarray, np.ndarray]:
     """Texture (size, size, 3) in sRGB, the robust mean of `pixels`, and which texels they show.
 
-    Geman-McClure weights 1 / (1 + (r / OUTLIER)^2)^2 of the residual r to the mean so far; texels
-    that no pixel shows take the nearest seen one's colour.
+    passes: 1 for the plain mean; each further one weights the pixels by 1 / (1 + (r / OUTLIER)^2)^2
+    (Geman-McClure) of their residual r to the mean so far. Texels that no pixel shows take the
+    nearest seen one's colour.
     """
     texture = np.zeros((size, size, 3), np.float32)
-    for number in range(PASSES):
+    for number in range(passes):
         sums = np.zeros((size, size, 4))
         for start in range(0, len(pixels.uv), CHUNK):
             part = slice(start, start + CHUNK)
@@ -122,21 +123,28 @@ def picture(view: View, mask: np.ndarray, texture: np.ndarray, tracer: Tracer) -
     return out
 
 
-def score_unlit(work: Path, size: int, erode: float) -> tuple[dict[str, float], np.ndarray]:
-    """PSNR of the baked texture on each held-out view, and which texels (size, size) photos show.
+def score_unlit(
+    work: Path, size: int, erode: float
+) -> tuple[dict[str, dict[str, float]], np.ndarray]:
+    """PSNR on each held-out view of the textures by the robust and by the plain mean, and which
+    texels (size, size) photos show.
 
     work: a scene's folder with the stages poses, mesh, atlas and observe done.
     """
     poses = work / "poses"
     observations = Observations(work / "observe", poses / "cameras.json")
+    problem = SimpleNamespace(observations=observations, renderer=None)
+    held_out = held_out_photos(problem, poses, work / "mesh", erode)
     tracer = Tracer(work / "atlas" / "mesh_uv.ply")
     pixels = photo_pixels(observations.views, poses, work / "mesh", tracer, erode)
-    texture, seen = bake(pixels, size)
 
     scores = {}
-    problem = SimpleNamespace(observations=observations, renderer=None)
-    for view, photo, mask in held_out_photos(problem, poses, work / "mesh", erode):
-        scores[view.name] = psnr(picture(view, mask, texture, tracer), photo, mask)
+    for name, passes in (("plain", 1), ("robust", PASSES)):
+        texture, seen = bake(pixels, size, passes)
+        scores[name] = {
+            view.name: psnr(picture(view, mask, texture, tracer), photo, mask)
+            for view, photo, mask in held_out
+        }
     return scores, seen
 
 
@@ -191,7 +199,7 @@ def row(work: Path, erode: float) -> dict:
     unlit, seen = score_unlit(work, size, erode)
     lit = [lit_sample(folder, seen) for folder in samples]
     for folder, sample in zip(samples, lit):
-        if set(sample["views"]) != set(unlit):
+        if set(sample["views"]) != set(unlit["robust"]):
             raise InputError(
                 "the sample was scored on other views than the texture",
                 folder / "refine.json",
@@ -200,14 +208,15 @@ def row(work: Path, erode: float) -> dict:
 
     atlas = read_json(work / "atlas" / "atlas.json")
     seconds = stage_seconds(work)
-    unlit_psnr = mean(list(unlit.values()))
+    unlit_psnr = mean(list(unlit["robust"].values()))
     lit_psnr = mean([sample["psnr"] for sample in lit])
     return {
         "scene": work.resolve().name,
         "unlit_psnr": unlit_psnr,
         "lit_psnr": lit_psnr,
         "gain": lit_psnr - unlit_psnr,
-        "unlit_views": unlit,
+        "unlit_psnr_plain_mean": mean(list(unlit["plain"].values())),
+        "unlit_views": unlit["robust"],
         "samples": lit,
         "charts": atlas["charts"],
         "utilisation": atlas["utilisation"],
