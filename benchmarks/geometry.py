@@ -96,7 +96,7 @@ def icp(a: np.ndarray, b: np.ndarray, limit: float, steps: int = 20) -> Similari
             raise InputError(
                 "the mesh is not near the truth",
                 "benchmarks.geometry",
-                "check that --cameras and --mesh are of one scene, and --truth-cameras of its truth",
+                "check that mesh and cameras are of one scene, and the truth's of its truth",
             )
         rotation = umeyama(moved[near], b[index[near]]).rotation
         shift = b[index[near]].mean(0) - rotation @ moved[near].mean(0)

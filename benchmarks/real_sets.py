@@ -7,6 +7,8 @@ the scene of its own name at preset `standard`; of sets in PARTS only some photo
 copied to work/sets/<set> first. Where the truth is known, the row has errors of surface and normals
 (`benchmarks.geometry`, `benchmarks.normals`). What is up to date is not made again, so a run that
 was cut off goes on. A set that fails leaves a row that says so, and the others go on.
+
+With --finished WORK the scenes of another checkout's work/ are scored, by the code at hand.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from benchmarks.normals import picture_scores
 from benchmarks.scenes import ROOT, machine, run
 from pipeline.base.config import Observe
 from pipeline.base.errors import InputError, run_stage
-from pipeline.base.files import stage_folder, write_json
+from pipeline.base.files import read_json, stage_folder, write_json
 
 SETS = (
     "garden",
@@ -81,13 +83,23 @@ def against_truth(folder: Path, work: Path) -> dict:
     return {}
 
 
-def measured(folder: Path, preset: str, samples: int, extra: list[str], erode: float) -> dict:
-    """One set through the chain: the figures of `benchmarks.unlit` and of `benchmarks.scenes`."""
-    chain = run(folder, preset, samples, extra)
-    work = ROOT / "work" / folder.name
-    kept = ("photos", "masks", "mesh", "stereo_share", "sum_of_stage_seconds", "peak_gib")
-    figures = {key: chain[key] for key in kept} | unlit.row(work, erode)
-    return figures | {"truth": against_truth(folder, work)}
+def figures(folder: Path, work: Path) -> dict:
+    """One finished set: what its stages say, the figures of `benchmarks.unlit`, and the errors
+    against the truth.
+
+    folder: the set's; work: the folder that its stages wrote to.
+    """
+    poses, masks, mesh = (read_json(work / s / f"{s}.json") for s in ("poses", "masks", "mesh"))
+    facts = {
+        "photos": f"{poses['registered']}/{poses['photos']}",
+        "masks": masks["method"],
+        "mesh": mesh["method"],
+        "stereo_share": mesh.get("stereo_share"),
+        "parts": mesh.get("parts"),
+        "warnings": mesh.get("warnings", []),
+    }
+    truth = against_truth(folder, work)
+    return unlit.row(work, Observe().erode) | facts | {"truth": truth}
 
 
 def main() -> None:
@@ -100,13 +112,21 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=2)
     parser.add_argument("--set", nargs="*", default=[], help="more settings, key=value")
     parser.add_argument("--out", type=Path, required=True, help="JSON file for all rows")
+    parser.add_argument(
+        "--finished",
+        type=Path,
+        help="a work/ of another checkout: score what is there, run nothing",
+    )
     args = parser.parse_args()
 
     rows = []
     for name in args.sets.split(","):
         folder = scene_folder(args.photos, name)
         try:
-            rows.append(measured(folder, args.preset, args.samples, args.set, Observe().erode))
+            if not args.finished:
+                run(folder, args.preset, args.samples, args.set)
+            work = (args.finished or ROOT / "work") / name
+            rows.append(figures(folder, work))
         except subprocess.CalledProcessError as error:
             failed = f"exit status {error.returncode}; see work/{name}/logs"
             rows.append({"scene": name, "failed": failed})

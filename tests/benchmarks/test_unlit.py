@@ -88,7 +88,7 @@ def work(tmp_path, ball, ring):
     write_json(folder / "refine" / "0" / "refine.json", scores)
     atlas = {"charts": 9, "utilisation": 0.6, "faces": 100}
     write_json(folder / "atlas" / "atlas.json", atlas)
-    table = "s\th:m:s\tmax_rss\n12.5\t0:00:12\t100\n"
+    table = "s\th:m:s\tcpu_time\n12.5\t0:00:12\t20.0\n"
     (folder / "benchmarks" / "mesh.tsv").write_text(table)
     return folder
 
@@ -128,7 +128,7 @@ def test_lit_and_unlit_stand_side_by_side(work):
     assert found["gain"] == pytest.approx(20 - found["unlit_psnr"])
     assert found["samples"][0]["metallic_median"] == pytest.approx(0.9)
     assert found["samples"][0]["roughness_median"] == pytest.approx(0.3)
-    assert found["mesh_seconds"] == 12.5
+    assert found["mesh_seconds"] == 12.5 and found["cpu_seconds"] == {"mesh": 20.0}
     assert found["charts"] == 9 and found["utilisation"] == 0.6
 
 
