@@ -1,7 +1,7 @@
 """Mesh, its shading normals and cameras against truth: F-score, Chamfer distance, angles, camera
 errors.
 
-python -m benchmarks.geometry --mesh work/garden/mesh/mesh.ply \\
+python -m benchmarks.geometry --mesh work/garden/atlas/mesh_uv.ply \\
     --cameras work/garden/poses/cameras.json --truth examples/garden/truth/mesh.ply \\
     --truth-cameras examples/garden/truth/transforms_truth.json --above 0.004
 
@@ -105,22 +105,24 @@ def icp(a: np.ndarray, b: np.ndarray, limit: float, steps: int = 20) -> Similari
 
 
 def normal_errors(
-    mesh: Mesh, truth: Mesh, to_truth: Similarity, views: list[View], above: float
+    cast: NormalCaster,
+    cast_truth: NormalCaster,
+    to_truth: Similarity,
+    views: list[View],
+    above: float,
 ) -> np.ndarray:
-    """Angles (n,) in degrees between the shading normals of `mesh` and of `truth`, in the pixels of
-    `views` that show both, where the truth lies above the height `above`.
+    """Angles (n,) in degrees between the shading normals of a mesh and of the truth, in the pixels
+    of `views` that show both, where the truth lies above the height `above`.
     """
-    cast = NormalCaster(mesh)
-    cast_truth = NormalCaster(truth)
     errors = []
     for view in chosen(views):
         origins, directions = pixel_rays(view)
-        _, normals, hit = cast(origins, directions)
-        points, true, true_hit = cast_truth(
-            to_truth.points(origins), to_truth.directions(directions)
-        )
-        both = hit & true_hit & (points[:, 1] > above)
-        errors.append(angles(to_truth.directions(normals[both]), true[both]))
+        hit, _, normals = cast(origins, directions)
+        moved = to_truth.points(origins[hit]), to_truth.directions(directions[hit])
+        true_hit, points, true = cast_truth(*moved)
+
+        high = points[:, 1] > above
+        errors.append(angles(to_truth.directions(normals[true_hit][high]), true[high]))
     return np.concatenate(errors)
 
 
@@ -185,7 +187,8 @@ def compare(
     completeness = cKDTree(a).query(b)[0]
 
     facts = surface_scores(accuracy, completeness, extent)
-    facts |= normal_scores(normal_errors(mesh, truth, to_truth, views, above))
+    casters = NormalCaster.of_file(mesh_file), NormalCaster(truth)
+    facts |= normal_scores(normal_errors(*casters, to_truth, views, above))
     return facts | {
         "camera_error_median_percent": 100 * float(np.median(camera_error)) / extent.max(),
         "scale": float(to_truth.scale),

@@ -71,7 +71,7 @@ def scene_folder(photos: Path, name: str) -> Path:
 
 def against_truth(folder: Path, work: Path) -> dict:
     """Errors of a scene's surface and normals, as far as its folder has the truth."""
-    mesh = work / "mesh" / "mesh.ply"
+    mesh = work / "atlas" / "mesh_uv.ply"  # beside it lies the normal map
     cameras = work / "poses" / "cameras.json"
     truth = folder / "truth"
     if folder.name == GARDEN:

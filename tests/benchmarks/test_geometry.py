@@ -2,11 +2,12 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 
 from benchmarks.geometry import Similarity, compare, icp, normal_errors, umeyama
-from benchmarks.normals import angles, picture_scores, read_normals
+from benchmarks.normals import NormalCaster, angles, picture_scores, read_normals
 from pipeline.base.errors import InputError
 from pipeline.base.images import linear_to_srgb, write_png
 from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP, Rig, save_cameras
@@ -53,13 +54,15 @@ def test_icp_undoes_a_small_motion():
 
 def test_tilted_normals_are_as_wrong_as_they_are_tilted(ball, ring):
     mesh = round_ball(ball)
-    same = normal_errors(mesh, mesh, HERE, ring(4), above=-np.inf)
+    truth = NormalCaster(mesh)
+    same = normal_errors(truth, truth, HERE, ring(4), above=-np.inf)
     assert len(same) > 1000 and same.max() < 0.1
 
     # each normal tilted by 10 degrees towards a direction of its own, at right angles to it
     aside = unit(np.cross(mesh.normals, [0.3, 1.0, -0.2]))
     tilted = np.cos(np.radians(10)) * mesh.normals + np.sin(np.radians(10)) * aside
-    error = normal_errors(Mesh(mesh.vertices, mesh.faces, tilted), mesh, HERE, ring(4), -np.inf)
+    cast = NormalCaster(Mesh(mesh.vertices, mesh.faces, tilted))
+    error = normal_errors(cast, truth, HERE, ring(4), above=-np.inf)
     assert np.median(error) == pytest.approx(10, abs=0.3)
 
 
@@ -70,8 +73,9 @@ def test_normals_are_compared_in_the_truths_frame(ball, ring):
     mesh = round_ball(ball)
     move = Similarity(2.0, turn(40, 1) @ turn(20, 0), np.array([3.0, 0.0, 1.0]))
     truth = Mesh(move.points(mesh.vertices), mesh.faces, move.directions(mesh.normals))
-    whole = normal_errors(mesh, truth, move, ring(4), above=-np.inf)
-    half = normal_errors(mesh, truth, move, ring(4), above=0.0)
+    casters = NormalCaster(mesh), NormalCaster(truth)
+    whole = normal_errors(*casters, move, ring(4), above=-np.inf)
+    half = normal_errors(*casters, move, ring(4), above=0.0)
     assert whole.max() < 0.1
     assert 0.3 < len(half) / len(whole) < 0.9
 
@@ -134,3 +138,34 @@ def test_a_mesh_far_from_the_truth_is_refused():
     points = np.random.default_rng(0).random((50, 3))
     with pytest.raises(InputError, match="not near"):
         icp(points + 5, points, limit=0.1)
+
+
+@pytest.mark.parametrize("channels", [(1, 0), (0, 1), (-0.5, 0.5)])
+@pytest.mark.parametrize("turned", [0, 90])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_normal_map_tilts_the_normals(tmp_path, channels, turned, bits):
+    """A floor whose u goes along x, or along -z, where v goes along x: red tilts along u, green
+    along v.
+    """
+    corners = np.array([[-1, 0, 1], [1, 0, 1], [1, 0, -1], [-1, 0, -1.0]])
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
+    along_u, along_v = np.array([1.0, 0, 0]), np.array([0, 0, -1.0])
+    if turned:
+        uv, along_u, along_v = np.roll(uv, 1, 0), along_v, -along_u
+    floor = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([0, 1.0, 0], (4, 1)), uv)
+    save_mesh(tmp_path / "mesh_uv.ply", floor)
+
+    red, green = 0.3 * np.array(channels)
+    blue = np.sqrt(1 - red**2 - green**2)
+    full = 2**bits - 1
+    pixel = np.round((np.array([blue, green, red]) / 2 + 0.5) * full)  # OpenCV's order
+    picture = np.broadcast_to(pixel, (16, 16, 3)).astype(f"uint{bits}")
+    cv2.imwrite(str(tmp_path / "normal.png"), picture)
+
+    origins = np.array([[0.2, 3.0, 0.4], [-0.5, 3.0, -0.3], [5.0, 3.0, 0.0]])
+    cast = NormalCaster.of_file(tmp_path / "mesh_uv.ply")
+    hit, points, normals = cast(origins, np.tile([0, -1.0, 0], (3, 1)))
+    assert hit.tolist() == [True, True, False]
+    np.testing.assert_allclose(points, origins[:2] * [1, 0, 1], atol=1e-6)
+    expected = red * along_u + green * along_v + blue * np.array([0, 1.0, 0])
+    np.testing.assert_allclose(normals, np.tile(expected, (2, 1)), atol=1.5 / full + 1e-6)
