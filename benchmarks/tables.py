@@ -257,6 +257,7 @@ REAL_SETS: list[tuple[str, tuple[str, ...], int]] = [
     ("charts", ("charts",), 0),
     ("utilisation", ("utilisation",), 2),
     ("mesh s", ("mesh_seconds",), 0),
+    ("mesh, processor s", ("cpu_seconds", "mesh"), 0),
 ]
 REAL_TRUTH: list[tuple[str, tuple[str, ...], int]] = [
     ("F-score at 1 %", ("truth", "f1_at_1_percent_of_size"), 3),
