@@ -123,21 +123,28 @@ def picture(view: View, mask: np.ndarray, texture: np.ndarray, tracer: Tracer) -
     return out
 
 
-def score_unlit(
-    work: Path, size: int, erode: float
-) -> tuple[dict[str, dict[str, float]], np.ndarray]:
-    """PSNR on each held-out view of the textures by the robust and by the plain mean, and which
-    texels (size, size) photos show.
+HeldOut = list[tuple[View, np.ndarray, np.ndarray]]  # as `held_out_photos` gives them
 
-    work: a scene's folder with the stages poses, mesh, atlas and observe done.
+
+def load(work: Path, erode: float) -> tuple[HeldOut, Tracer, PhotoPixels]:
+    """Held-out views with their photos and masks, primary hits, and pixels to bake, of a scene's
+    folder with the stages poses, mesh, atlas and observe done.
     """
     poses = work / "poses"
     observations = Observations(work / "observe", poses / "cameras.json")
     problem = SimpleNamespace(observations=observations, renderer=None)
     held_out = held_out_photos(problem, poses, work / "mesh", erode)
     tracer = Tracer(work / "atlas" / "mesh_uv.ply")
-    pixels = photo_pixels(observations.views, poses, work / "mesh", tracer, erode)
+    return held_out, tracer, photo_pixels(observations.views, poses, work / "mesh", tracer, erode)
 
+
+def score_unlit(
+    work: Path, size: int, erode: float
+) -> tuple[dict[str, dict[str, float]], np.ndarray]:
+    """PSNR on each held-out view of the textures by the robust and by the plain mean, and which
+    texels (size, size) photos show.
+    """
+    held_out, tracer, pixels = load(work, erode)
     scores = {}
     for name, passes in (("plain", 1), ("robust", PASSES)):
         texture, seen = bake(pixels, size, passes)
