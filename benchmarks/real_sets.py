@@ -38,6 +38,7 @@ SETS = (
 )
 # Photos from the first name to the last one: between two passes the object was turned over.
 PARTS = {"socketed_axe": ("IMG_8835", "IMG_8860")}
+STOPPED = "Heliograph cannot go on."  # how a stage begins to say what it lacks
 GARDEN = "garden"  # the shipped example, whose truth is known
 GARDEN_ABOVE = 0.004  # metres: below it is the underside, which no photo shows
 
@@ -102,6 +103,16 @@ def figures(folder: Path, work: Path) -> dict:
     return unlit.row(work, Observe().erode) | facts | {"truth": truth}
 
 
+def failure(logs: Path) -> str:
+    """Why the chain stopped: the stage whose log of `logs` is newest, and what it said last."""
+    newest = max(logs.glob("*.log"), key=lambda file: file.stat().st_mtime)
+    lines = [line.strip() for line in newest.read_text(encoding="utf-8").splitlines()]
+    said = [line for line in lines if line] or ["no word"]
+    if STOPPED in said[:-1]:
+        said = [said[said.index(STOPPED) + 1].split(": ", 1)[-1]]  # without the place, a path
+    return f"{newest.stem}: {said[-1]}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -127,9 +138,8 @@ def main() -> None:
                 run(folder, args.preset, args.samples, args.set)
             work = (args.finished or ROOT / "work") / name
             rows.append(figures(folder, work))
-        except subprocess.CalledProcessError as error:
-            failed = f"exit status {error.returncode}; see work/{name}/logs"
-            rows.append({"scene": name, "failed": failed})
+        except subprocess.CalledProcessError:
+            rows.append({"scene": name, "failed": failure(ROOT / "work" / name / "logs")})
         print(json.dumps(rows[-1]), flush=True)
         write_json(args.out, {"machine": machine(), "preset": args.preset, "rows": rows})
 

@@ -1,9 +1,11 @@
 """Photo sets: which photos of a set are taken."""
 
+import os
+
 import pytest
 
 from benchmarks import real_sets
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, run_stage
 
 
 @pytest.fixture
@@ -36,3 +38,19 @@ def test_what_is_missing_is_named(photos):
         real_sets.scene_folder(photos, "kiwi")
     with pytest.raises(InputError, match="IMG_9000"):
         real_sets.part_of(photos / "socketed_axe", "IMG_9000", "IMG_9001")
+
+
+def test_a_failed_set_says_why(tmp_path, capsys):
+    (tmp_path / "capture.log").write_text("photos: 26/26, took 0:02\n")
+    os.utime(tmp_path / "capture.log", (1, 1))
+
+    def stop():
+        raise InputError("the light turned with the camera", tmp_path, "move the camera")
+
+    with pytest.raises(SystemExit):
+        run_stage(stop)
+    (tmp_path / "poses.log").write_text("features (plain)\n" + capsys.readouterr().err)
+    assert real_sets.failure(tmp_path) == "poses: the light turned with the camera"
+
+    (tmp_path / "poses.log").write_text("Traceback\nValueError: nothing\n\n")
+    assert real_sets.failure(tmp_path) == "poses: ValueError: nothing"
