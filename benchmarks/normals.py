@@ -23,15 +23,14 @@ import cv2
 import numpy as np
 
 from pipeline.base.errors import InputError, run_stage
-from pipeline.base.files import read_json
 from pipeline.base.images import read_png, srgb_to_linear
 from pipeline.geometry.cameras import Y_FROM_Z_UP, View, load_cameras
 from pipeline.geometry.mesh_io import Mesh, load_mesh, unit
-from pipeline.photos.capture import path_in_scene, photo_name
 from pipeline.posterior.textures import gather
 from pipeline.surface.preview import caster
 
 NORMAL_MAP = "normal.png"
+PICTURE_END = "_normal.png"
 SIDE = 320  # longest side in pixels of the views in which normals are compared
 VIEWS = 12  # at most so many, evenly chosen
 CLIPPED = 0.005  # by so much a true normal's length may differ from 1: .1 in a clipped component
@@ -143,21 +142,14 @@ def normal_scores(error: np.ndarray) -> dict:
 
 
 def true_normal_pictures(scene: Path) -> dict[str, Path]:
-    """View's name -> picture of its true normals, for test views that have one.
+    """View's name -> picture of its true normals: test_r_0 -> test/r_0_normal.png.
 
     Raises InputError where there are none.
     """
-    file = scene / "transforms_test.json"
-    found = {}
-    for frame in read_json(file)["frames"]:
-        stem = path_in_scene(scene, frame["file_path"], file)
-        picture = stem.with_name(f"{stem.name}_normal.png")
-        if picture.exists():
-            found[photo_name(scene, stem)] = picture
-
-    if not found:
-        raise InputError("no test view has a picture of normals", file, "name a scene that has")
-    return found
+    files = sorted(scene.glob(f"*/*{PICTURE_END}"))
+    if not files:
+        raise InputError("no view has a picture of normals", scene, "name a scene that has")
+    return {f"{f.parent.name}_{f.name.removesuffix(PICTURE_END)}": f for f in files}
 
 
 def read_normals(picture: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from benchmarks import unlit
 from benchmarks.geometry import compare
-from benchmarks.normals import picture_scores
+from benchmarks.normals import PICTURE_END, picture_scores
 from benchmarks.scenes import ROOT, machine, run
 from pipeline.base.config import Observe
 from pipeline.base.errors import InputError, run_stage
@@ -79,7 +79,7 @@ def against_truth(folder: Path, work: Path) -> dict:
         true_cameras = truth / "transforms_truth.json"
         return compare(mesh, cameras, truth / "mesh.ply", true_cameras, above=GARDEN_ABOVE)
 
-    if list(folder.glob("test/*_normal.png")):
+    if list(folder.glob(f"*/*{PICTURE_END}")):
         return picture_scores(mesh, cameras, folder)
     return {}
 

@@ -169,13 +169,14 @@ def lit_samples(work: Path) -> list[Path]:
 
 def lit_sample(folder: Path, seen: np.ndarray) -> dict:
     """A refined sample's score as its stage wrote it, and medians of its maps over the texels
-    `seen` (t, t).
+    `seen` (t, t). A stage that scores random pixels of the views says the score's standard error.
     """
     facts = read_json(folder / "refine.json")
     roughness = read_exr(folder / "roughness.exr")[seen]
     metallic = read_exr(folder / "metallic.exr")[seen]
     return {
         "psnr": facts["held_out_psnr"],
+        "psnr_standard_error": facts.get("held_out_standard_error"),
         "views": facts["held_out"],
         "roughness_median": float(np.median(roughness)),
         "metallic_median": float(np.median(metallic)),
