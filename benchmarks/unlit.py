@@ -208,6 +208,8 @@ def row(work: Path, erode: float) -> dict:
     samples = lit_samples(work)
     size = read_exr(samples[0] / "metallic.exr").shape[0]
     unlit, seen = score_unlit(work, size, erode)
+    if not unlit["robust"]:
+        raise InputError("no held-out view shows the object", work, "raise observe.held_out")
     lit = [lit_sample(folder, seen) for folder in samples]
     for folder, sample in zip(samples, lit):
         if set(sample["views"]) != set(unlit["robust"]):
