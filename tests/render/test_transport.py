@@ -64,8 +64,11 @@ def uniform(light, roughness, metallic, base_color) -> Explanation:
 
 
 def traced(renderer, observations, rows, spp) -> np.ndarray:
-    """Radiance (n, 3) of the rows' rays by the path tracer."""
-    rays = observations.centre_rays(np.tile(rows.observation, spp))
+    """Radiance (n, 3) of the rows' patches by the path tracer, `spp` paths each, through random places
+    in their pixels.
+    """
+    rng = np.random.default_rng(9)
+    rays = observations.rays(rows.rays(spp, rng).T.ravel(), rng)
     return renderer.radiance(*rays, 0).reshape(spp, -1, 3).mean(0)
 
 
