@@ -1,17 +1,19 @@
-"""Is gloss found? Textured meshes in constant materials, rendered and drawn, scored by roughness and
-metallic.
+"""Is gloss found? Textured meshes in constant materials, rendered and drawn, scored by roughness
+and metallic.
 
 python -m benchmarks.gloss --assets ASSETS --lights ENVMAPS --out FOLDER [--quick] [--samples 2] \\
     [--rows rows.json]
 
 ASSETS/<asset> and ENVMAPS/<light>.exr are what benchmarks.make_scene renders from. Every asset of
-SHAPES keeps its mesh and, but for cloth and brushed metal, its base colour, and gets one material of
-MATERIALS all over; each is photographed under both LIGHTS, which the shipped priors were not trained
-on. `--quick` takes the first light only, and the three glosses. Scenes are made as FOLDER/<asset>_
-<material>__<light>, their stages up to the fit in work/; what exists already is not made again.
+SHAPES keeps its mesh and, but for cloth and brushed metal, its base colour, and gets one material
+of MATERIALS all over; each is photographed under both LIGHTS, which the shipped priors were not
+trained on. `--quick` takes the first light only, and the three glosses. Scenes are made as
+FOLDER/<asset>_<material>__<light>, their stages up to the fit in work/; what exists already is not
+made again.
 
 Every draw is scored as in benchmarks.samplers: `log_roughness_error` is the median over held-out
-views of |log(drawn / true)|, `metallic_right` the share of the surface on its right side of one half.
+views of |log(drawn / true)|, `metallic_right` the share of the surface on its right side of one
+half.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ from pipeline.run.stage import overrides
 SHAPES = ("avocado", "boombox", "suzanne")
 LIGHTS = ("vestibule", "kernerenv")
 RELIGHT = "barce_rooftop_c"
-OPTIONS = Options(size=240, spp=32, views=24, test=3)
+OPTIONS = Options(size=200, spp=32, views=24, test=3)
 TEXTURE = 64  # pixels along a side of a constant map
 STAGES = ("observe", "poses", "atlas", "mesh", "fit")
 
@@ -94,7 +96,7 @@ def prepare(shape: str, name: str, light: str, args: argparse.Namespace) -> Path
         make_scene(asset, args.lights / f"{light}.exr", [other], OPTIONS, folder)
 
     targets = [f"work/{folder.name}/{s}/{s}.json" for s in ("fit", "mesh")]
-    snakemake(folder, targets, [f"preset={args.preset}"])
+    snakemake(folder, targets, [f"preset={args.preset}", *args.set])
     return folder
 
 

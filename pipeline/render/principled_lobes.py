@@ -71,9 +71,9 @@ class PrincipledLobes:
 
 
 def blurred_roughness(roughness: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Roughness of the lobe that a surface of this roughness shows whose normals spread about the
-    mean by `sigma` per axis (radians): (alpha^2 + 2 sigma^2)^(1/4), with alpha = roughness^2, at most
-    1. Arrays that broadcast.
+    """Roughness of the lobe that a surface of this roughness shows whose normals spread about
+    the mean by `sigma` per axis (radians): (alpha^2 + 2 sigma^2)^(1/4), with alpha =
+    roughness^2, at most 1. Arrays that broadcast.
 
     Facets' slopes have variance alpha^2 / 2 per axis (exact for Beckmann's distribution, close for
     GGX near its peak), and variances of slopes add (Toksvig 2005; Han et al. 2007; Olano and Baker

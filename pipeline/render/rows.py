@@ -1,10 +1,10 @@
 """Which observed pixels the transport operator explains: points spread over the surface, each seen
 in several photos.
 
-A row is a mean over a few pixels around the point, all of one view. They are coherent: near in space
-and alike in normal, so that none lies on another sheet of the surface or beyond an edge. What is left
-of curvature inside the patch is the operator's to average (transport.py); to be able to, it sends its
-rays through the very pixels that the mean is over.
+A row is a mean over a few pixels around the point, all of one view. They are coherent: near in
+space and alike in normal, so that none lies on another sheet of the surface or beyond an edge. What
+is left of curvature inside the patch is the operator's to average (transport.py); to be able to, it
+sends its rays through the very pixels that the mean is over.
 """
 
 from __future__ import annotations

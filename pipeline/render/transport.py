@@ -4,11 +4,12 @@ geometry.
 Each row is the mean over a patch of observed pixels (rows.py). The material enters through the four
 lobes of its BSDF (principled_lobes.py), so T is a mix of four matrices per roughness.
 
-A row has RAYS rays, through random places in its patch's pixels, each with the shading normal that it
-meets: a highlight on a curved patch is as broad as the photos' mean of it. Every direction of light is
-looked at for one of the rays only, neighbouring directions for different ones, so that a patch costs
-as much as a pixel. Where the mesh's normals are in error, that part of their spread in a patch is
-taken out (`without_error`); it is an unknown of the sampler's (posterior/split_gibbs/normal_spread.py).
+A row has RAYS rays, through random places in its patch's pixels, each with the shading normal that
+it meets: a highlight on a curved patch is as broad as the photos' mean of it. Every direction of
+light is looked at for one of the rays only, neighbouring directions for different ones, so that a
+patch costs as much as a pixel. Where the mesh's normals are in error, that part of their spread in
+a patch is taken out (`without_error`); it is an unknown of the sampler's
+(posterior/split_gibbs/normal_spread.py).
 
 Direct light: one jittered direction per cell of a lat-long grid plus directions drawn from the
 highlight, combined by the balance heuristic (Veach 1997), so that mirrors and chalk are both
@@ -16,14 +17,14 @@ resolved. Light from the object onto itself: radiosity between surface points, t
 with the albedo that the material's lobes have (Goral et al. 1984), as many bounces as the path
 tracer is given.
 
-Letters: n rows, R rays of each, p points, q radiosity nodes (the points first), M = h w light pixels in row-major
-order, F the lobes' light matrices; si is a Mitsuba surface interaction and wo an outgoing direction
-in its local frame.
+Letters: n rows, R rays of each, p points, q radiosity nodes (the points first), M = h w light
+pixels in row-major order, F the lobes' light matrices; si is a Mitsuba surface interaction and wo
+an outgoing direction in its local frame.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +77,8 @@ class BlockedLight:
 
 @dataclass
 class Hits:
-    """Where k rays meet the surface: whether they do (k,); position, shading normal and the ray's own
-    direction, (k, 3) each.
+    """Where k rays meet the surface: whether they do (k,); position, shading normal and the
+    ray's own direction, (k, 3) each.
     """
 
     valid: np.ndarray
@@ -87,10 +88,13 @@ class Hits:
 
     def where(self, chosen: np.ndarray, other: Hits) -> Hits:
         """These where `chosen` (k,) holds, those of `other` elsewhere."""
-        pick = lambda mine, theirs: np.where(
-            chosen.reshape((-1,) + (1,) * (mine.ndim - 1)), mine, theirs
+        column = chosen[:, None]
+        return Hits(
+            np.where(chosen, self.valid, other.valid),
+            np.where(column, self.position, other.position),
+            np.where(column, self.normal, other.normal),
+            np.where(column, self.direction, other.direction),
         )
-        return Hits(*(pick(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
 
 
 def meet(scene: Any, rays: tuple[np.ndarray, np.ndarray]) -> Hits:
@@ -102,8 +106,8 @@ def meet(scene: Any, rays: tuple[np.ndarray, np.ndarray]) -> Hits:
 
 def without_error(normal: np.ndarray, sigma: float) -> np.ndarray:
     """Unit normals (n, R, 3) of each row's rays, drawn towards the row's mean so far that their
-    variance loses sigma^2 per axis, the mesh's error (radians); to the mean itself where there is no
-    more than that.
+    variance loses sigma^2 per axis, the mesh's error (radians); to the mean itself where there
+    is no more than that.
     """
     mean = normal.mean(1, keepdims=True)
     mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
@@ -144,9 +148,9 @@ class Transport:
         self._look_around()
 
     def _meet_surface(self, observations: Observations, normal_error: float) -> None:
-        """Of every row's rays: where they meet the surface (n, R, 3), shading frame (n, R, 3, 3: its
-        rows are s, t and the normal), and local direction to the camera (n, R, 3); and the row's
-        position (n, 3), its central pixel's.
+        """Of every row's rays: where they meet the surface (n, R, 3), shading frame (n, R, 3, 3:
+        its rows are s, t and the normal), and local direction to the camera (n, R, 3); and the
+        row's position (n, 3), its central pixel's.
         """
         count = 1 if self.rows.patch is None else RAYS
         hits = self._hits(observations, self.rows.rays(count, self.rng))
@@ -176,8 +180,9 @@ class Transport:
         return jittered.where(jittered.valid & alike, centre)
 
     def _lay_grid(self) -> None:
-        """One direction per cell of a grid over the sphere, what each sees of the light, and which of
-        a row's rays it is looked at for (cells,): all of them within as many neighbours.
+        """One direction per cell of a grid over the sphere, what each sees of the light, and
+        which of a row's rays it is looked at for (cells,): all of them within as many
+        neighbours.
         """
         self.grid_rows = max(self.h, FINEST_GRID)
         self.cell_direction, self.cell_solid_angle = grid_directions(self.grid_rows, self.rng)

@@ -72,8 +72,8 @@ def uniform(light, roughness, metallic, base_color) -> Explanation:
 
 
 def traced(renderer, observations, rows, spp) -> np.ndarray:
-    """Radiance (n, 3) of the rows' patches by the path tracer, `spp` paths each, through random places
-    in their pixels.
+    """Radiance (n, 3) of the rows' patches by the path tracer, `spp` paths each, through random
+    places in their pixels.
     """
     rng = np.random.default_rng(9)
     rays = observations.rays(rows.rays(spp, rng).T.ravel(), rng)

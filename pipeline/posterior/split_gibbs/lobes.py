@@ -73,9 +73,9 @@ class LobeTable:
     albedo (steps, 4): of every lobe;
     most_metallic (steps,): goes down where the lobe of a white metal loses more light than it may.
     From there on it is no metal there is (Heitz et al. 2016), yet it makes a good dark wool;
-    spreads (s,): what the normals about a point may spread by, per axis in radians, the likeliest in
-    the middle (normal_spread.py);
-    blurred (steps, s): the roughness step whose lobe a roughness step shows under each spread.
+    spreads (s,): what the normals about a point may spread by, per axis in radians, the likeliest
+    in the middle (normal_spread.py);
+    blurred (steps, s): the step of the lobe that each roughness step shows under each spread.
     """
 
     direct: list[torch.Tensor]

@@ -302,7 +302,8 @@ def material_kernel(
     mixer: Mixer, decoder: Decoder, steps: int, proposal: Proposal = propose_all
 ) -> Kernel:
     """Kernel (Step 4c, Step 5c): region materials, the points' offsets and the spread of their
-    normals (with `propose_all` only), then the spread of colours and the noise given the points' colours.
+    normals (with `propose_all` only), then the spread of colours and the noise given the points'
+    colours.
     """
 
     def kernel(rng: Randomness, state: State) -> tuple[State, MaterialInfo]:

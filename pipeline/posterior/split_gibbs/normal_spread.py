@@ -1,16 +1,16 @@
 """How much the normals about a point spread, beyond what the mesh shows: an unknown of every point.
 
-A mesh that is made from photos has normals in error. A sharp reflection then comes from another part
-of the light than the mesh says, by chance, and over such normals it is blurred: normals that spread
-by sigma per axis turn a lobe of alpha = roughness^2 into one of
+A mesh that is made from photos has normals in error. A sharp reflection then comes from another
+part of the light than the mesh says, by chance, and over such normals it is blurred: normals that
+spread by sigma per axis turn a lobe of alpha = roughness^2 into one of
 
     alpha'^2 = alpha^2 + 2 sigma^2        (render/principled_lobes.py, blurred_roughness)
 
-The rows tell alpha' only. The mesh's error sigma_0, as the mesh stage estimates it, says how much of
-it is the normals': sigma_p = sigma_0 RATIO^(k_p), with k_p a discrete normal of width POINT_WIDTH
-about its region's k_r, and k_r one of width REGION_WIDTH about 0, for the estimate may be off as a
-whole. The material's own roughness is what is exported. A given mesh has sigma_0 = 0 and no such
-unknown.
+The rows tell alpha' only. The mesh's error sigma_0, as the mesh stage estimates it, says how much
+of it is the normals': sigma_p = sigma_0 RATIO^(k_p), with k_p a discrete normal of width
+POINT_WIDTH about its region's k_r, and k_r one of width REGION_WIDTH about 0, for the estimate may
+be off as a whole. The material's own roughness is what is exported. A given mesh has sigma_0 = 0
+and no such unknown.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def draw_normal_spread(
     log_own: Callable[[RegionMaterials], np.ndarray],
     rng: np.random.Generator,
 ) -> tuple[RegionMaterials, np.ndarray]:
-    """Roughness of every region together with the spread of its points' normals, an exact draw given
-    all else: materials, and `offsets` (3, p) with a new last row.
+    """Roughness of every region together with the spread of its points' normals, an exact draw
+    given all else: materials, and `offsets` (3, p) with a new last row.
 
     seen (steps, 4, n, 3): what every lobe sees of the light; log_own: log-prior of each region's
     material (R,). They must move together, for a sharper material over wilder normals looks the

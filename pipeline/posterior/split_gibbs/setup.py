@@ -114,8 +114,8 @@ def block_weights(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def operator(
     problem: Problem, rows: Rows, settings: Sample, seed: int
 ) -> tuple[Transport, LobeTable]:
-    """T for these rows, and its lobes at every roughness, shown by normals as uncertain as the mesh's
-    are.
+    """T for these rows, and its lobes at every roughness, shown by normals as uncertain as the
+    mesh's are.
     """
     error = per_axis(problem.normal_error)
     transport = Transport(
