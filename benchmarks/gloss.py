@@ -96,7 +96,7 @@ def prepare(shape: str, name: str, light: str, args: argparse.Namespace) -> Path
         make_scene(asset, args.lights / f"{light}.exr", [other], OPTIONS, folder)
 
     targets = [f"work/{folder.name}/{s}/{s}.json" for s in ("fit", "mesh")]
-    snakemake(folder, targets, [f"preset={args.preset}", *args.set])
+    snakemake(folder, targets, [f"preset={args.preset}"])
     return folder
 
 

@@ -20,7 +20,8 @@ from pipeline.base.errors import InputError
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.render.observe import Observations
 
-PATCH = 2.0  # radius in pixels over which photos are averaged
+PATCH, LARGEST_PATCH = 2.0, 6.0  # least and most radius in pixels over which photos are averaged
+SPACING_SAMPLE = 500  # pixels whose neighbours are counted
 STEEP = 0.3  # pixels with a smaller cosine of incidence are left out: each covers much surface
 FEWEST_PIXELS = 50
 CONE = 15.0  # degrees: normals of a patch lie as near to its point's
@@ -87,6 +88,18 @@ class SeenPixels:
     position: np.ndarray
     normal: np.ndarray
     width: float
+
+    def patch_radius(self, observations: Observations, rng: np.random.Generator) -> float:
+        """Radius in pixels of a disc that holds PIXELS of these, as thinly as they were drawn from
+        the photos: the median over a sample, between PATCH and LARGEST_PATCH.
+        """
+        # views far apart on one plane: no pixel has a neighbour of another view
+        apart = observations.view[self.observation] * 10 * np.ptp(observations.pixel)
+        place = observations.pixel[self.observation] + apart[:, None]
+        sample = place[rng.choice(len(place), min(SPACING_SAMPLE, len(place)), replace=False)]
+        count = min(PIXELS, len(place))
+        reach = np.median(cKDTree(place).query(sample, count)[0][:, -1])
+        return float(np.clip(reach, PATCH, LARGEST_PATCH))
 
     def around(self, centre: int, near: np.ndarray) -> np.ndarray:
         """Those of `near` (j,) whose normals lie within CONE of pixel `centre`'s, nearest first."""
@@ -170,7 +183,8 @@ def choose_rows(
     central = []
     point = []
     patches = []
-    around = cKDTree(position).query_ball_point(position[centres], PATCH * seen.width)
+    radius = seen.patch_radius(observations, rng) * seen.width
+    around = cKDTree(position).query_ball_point(position[centres], radius)
     for number, (centre, near) in enumerate(zip(centres, around)):
         coherent = seen.observation[seen.around(centre, np.array(near))]
 

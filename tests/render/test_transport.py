@@ -1,6 +1,7 @@
 """The linear operator against the path tracer."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import drjit as dr
 import numpy as np
@@ -20,7 +21,7 @@ from pipeline.render.principled_lobes import (
     principled_bsdf,
 )
 from pipeline.render.renderer import Explanation, Renderer
-from pipeline.render.rows import CONE, PIXELS, Rows, choose_rows
+from pipeline.render.rows import CONE, PIXELS, Rows, SeenPixels, choose_rows
 from pipeline.render.transport import Transport, without_error
 from tests.conftest import look_at, save_surface
 
@@ -146,6 +147,18 @@ def test_rows_are_grouped_by_point_one_pixel_per_view(scene, transport):
     for p in range(40):
         seen = observations.view[rows.observation[rows.point == p]]
         assert 1 <= len(seen) <= 3 and len(set(seen)) == len(seen)
+
+
+@pytest.mark.parametrize("share,radius", [(1.0, 2.0), (0.1, 4.8), (0.01, 6.0)])
+def test_patches_are_wider_where_few_pixels_were_drawn(share, radius):
+    """Discs of eight pixels when all of them, a tenth and a hundredth of two photos were drawn; the
+    pixels of one photo are no neighbours of the other's.
+    """
+    rng = np.random.default_rng(0)
+    drawn = np.argwhere(rng.random((2, 120, 160)) < share)
+    observations = SimpleNamespace(view=drawn[:, 0], pixel=drawn[:, 1:].astype(np.uint16))
+    pixels = SeenPixels(np.arange(len(drawn)), np.zeros((0, 3)), np.zeros((0, 3)), 0.1)
+    assert abs(pixels.patch_radius(observations, rng) / radius - 1) < 0.15
 
 
 def test_bilinear_weights_reproduce_a_smooth_light():
