@@ -61,12 +61,13 @@ class PrincipledLobes:
         """Density (lanes,) per solid angle with which `sample_highlight` draws `wo`."""
         return np.array(self.white_metal.pdf(self.context, si, wo))
 
-    def sample_highlight(self, si: Any, seed: int) -> Any:
-        """Local directions drawn from the highlight, one per lane."""
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed, dr.width(si.wi))
-        one = sampler.next_1d()
-        two = sampler.next_2d()
+    def sample_highlight(self, si: Any, square: np.ndarray) -> Any:
+        """Local directions drawn from the highlight, one per lane, by points `square` (2, lanes) of
+        the unit square.
+        """
+        # the highlight is all that a metal has: nothing is left to choose by a first number
+        one = dr.full(mi.Float, 0.5, square.shape[1])
+        two = mi.Point2f(np.ascontiguousarray(square, np.float32))
         return self.white_metal.sample(self.context, si, one, two)[0].wo
 
 
@@ -94,7 +95,10 @@ def lobe_albedo(roughness: float) -> np.ndarray:
     si.wi = cosine_directions(ALBEDO_SAMPLES, rng)
 
     total = np.zeros(4)
-    for wo in (cosine_directions(ALBEDO_SAMPLES, rng), lobes.sample_highlight(si, 0)):
+    for wo in (
+        cosine_directions(ALBEDO_SAMPLES, rng),
+        lobes.sample_highlight(si, rng.random((2, ALBEDO_SAMPLES))),
+    ):
         density = np.array(dr.maximum(wo.z, 0)) / np.pi + lobes.highlight_density(si, wo)
         total += (np.nan_to_num(lobes(si, wo)) / np.maximum(density, 1e-6)).mean(1)
     return total

@@ -43,7 +43,9 @@ from pipeline.render.principled_lobes import LOBES, PrincipledLobes
 from pipeline.render.rows import CONE, Rows
 
 RAYS = 8  # of a row that is the mean over a patch
-HIGHLIGHT_SAMPLES = 32  # directions per row drawn from the highlight
+HIGHLIGHT_SAMPLES = 64  # directions per row drawn from the highlight
+# steps of a sequence that fills the unit square evenly: powers of the plastic number (Roberts 2018)
+EVEN_STEPS = 0.7548776662466927, 0.5698402909980532
 LANES = 1 << 18  # directions evaluated at once: bounds memory, and keeps transposes in the cache
 FINEST_GRID = 32  # rows of the direction grid where the light itself is coarser
 LIFT = 1e-4  # of the mesh's extent: how far rays start off the surface
@@ -102,6 +104,15 @@ def meet(scene: Any, rays: tuple[np.ndarray, np.ndarray]) -> Hits:
     si = scene.ray_intersect(mitsuba_rays(*rays))
     valid = np.array(si.is_valid()).astype(bool)
     return Hits(valid, np.array(si.p).T, np.array(si.sh_frame.n).T, rays[1])
+
+
+def even_points(count: int, seed: int) -> np.ndarray:
+    """HIGHLIGHT_SAMPLES points of the unit square for each of `count` rows (2, count x samples),
+    evenly spread and shifted at random from row to row (Cranley and Patterson 1976).
+    """
+    shift = np.random.default_rng([11, seed]).random((count, 1, 2))
+    steps = np.arange(HIGHLIGHT_SAMPLES)[:, None] * np.array(EVEN_STEPS)
+    return ((steps + shift) % 1).reshape(-1, 2).T
 
 
 def without_error(normal: np.ndarray, sigma: float) -> np.ndarray:
@@ -316,7 +327,7 @@ class Transport:
         row = np.repeat(np.arange(len(self.rows.point)), HIGHLIGHT_SAMPLES)
         ray = np.arange(len(row)) % self.frame.shape[1]
         si = self._interaction(row, ray)
-        wo = lobes.sample_highlight(si, seed)
+        wo = lobes.sample_highlight(si, even_points(len(self.rows.point), seed))
         local = np.array(wo).T
         direction = np.einsum("nji,nj->ni", self.frame[row, ray], local)
         good = (local[:, 2] > 0) & np.isfinite(direction).all(1)
