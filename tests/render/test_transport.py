@@ -73,8 +73,8 @@ def uniform(light, roughness, metallic, base_color) -> Explanation:
 
 
 def traced(renderer, observations, rows, spp) -> np.ndarray:
-    """Radiance (n, 3) of the rows' patches by the path tracer, `spp` paths each, through the centres
-    of their pixels: elsewhere in a pixel a ray may pass the object by.
+    """Radiance (n, 3) of the rows' patches by the path tracer, `spp` paths each, through the
+    centres of their pixels: elsewhere in a pixel a ray may pass the object by.
     """
     rays = observations.centre_rays(rows.rays(spp, np.random.default_rng(9)).T.ravel())
     return renderer.radiance(*rays, 0).reshape(spp, -1, 3).mean(0)
