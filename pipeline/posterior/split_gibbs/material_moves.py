@@ -16,8 +16,8 @@ import torch
 from scipy.special import logsumexp
 
 from pipeline.posterior.split_gibbs.light_codes import Decoder
-from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, point_materials
-from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step, mix
+from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, seen_by
+from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step
 from pipeline.posterior.split_gibbs.material_prior import (
     color_parts,
     log_color_of,
@@ -25,7 +25,8 @@ from pipeline.posterior.split_gibbs.material_prior import (
     log_prior,
 )
 from pipeline.posterior.split_gibbs.noise import draw_noise
-from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
+from pipeline.posterior.split_gibbs.normal_spread import draw_normal_spread
+from pipeline.posterior.split_gibbs.row_model import RowModel
 from pipeline.posterior.split_gibbs.state import Kernel, Noise, Randomness, RegionMaterials, State
 
 # of a point from its region: steps of roughness, steps of METALLIC
@@ -93,17 +94,6 @@ def propose_all(
     )
 
 
-def seen_by(
-    data: RowData, seen: np.ndarray, materials: RegionMaterials, offsets: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """U and W (n, 3) from what every lobe sees of the light, `seen` (steps, 4, n, 3)."""
-    roughness, metallic = (
-        values[data.rows.point] for values in point_materials(data, materials, offsets)
-    )
-    lobes = seen[roughness, :, np.arange(seen.shape[2])].transpose(1, 0, 2)
-    return mix(lobes, metallic[:, None])
-
-
 def draw_regions(
     model: RowModel,
     seen: np.ndarray,
@@ -169,8 +159,9 @@ def draw_offsets(
     offsets: np.ndarray,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """How far every point's roughness and metallic lie from its region's (2, p): discrete normals
-    of a width that each region draws for itself, 0 among them, with its points' offsets summed out.
+    """How far every point's roughness and metallic lie from its region's, in a copy of `offsets`
+    (3, p): discrete normals of a width that each region draws for itself, 0 among them, with its
+    points' offsets summed out.
     """
     data = model.data
     offsets = offsets.copy()
@@ -310,8 +301,9 @@ class MaterialInfo(NamedTuple):
 def material_kernel(
     mixer: Mixer, decoder: Decoder, steps: int, proposal: Proposal = propose_all
 ) -> Kernel:
-    """Kernel (Step 4c, Step 5c): region materials, the points' offsets (with `propose_all`
-    only), then the spread of colours and the noise given the points' colours.
+    """Kernel (Step 4c, Step 5c): region materials, the points' offsets and the spread of their
+    normals (with `propose_all` only), then the spread of colours and the noise given the points'
+    colours.
     """
 
     def kernel(rng: Randomness, state: State) -> tuple[State, MaterialInfo]:
@@ -333,6 +325,9 @@ def material_kernel(
         offsets = state.offsets
         if proposal is propose_all:
             offsets = draw_offsets(model, seen, materials, offsets, rng.numpy)
+            materials, offsets = draw_normal_spread(
+                model, seen, materials, offsets, log_own_prior, rng.numpy
+            )
 
         even, few, now = model.row_by_row(), steps // 3, state.spread_step
         materials, spread_step, _ = draw_regions(

@@ -36,7 +36,9 @@ SILENT = SimpleNamespace(
     data=SimpleNamespace(
         region=np.array([0, 1]),
         rows=SimpleNamespace(point=np.array([0, 1])),
-        lobes=SimpleNamespace(roughness=range(8), most_metallic=MOST_METALLIC),
+        lobes=SimpleNamespace(
+            roughness=range(8), most_metallic=MOST_METALLIC, blurred=np.arange(8)[:, None]
+        ),
     ),
     point_values=lambda U, W, materials: np.zeros(2),
 )
@@ -89,7 +91,7 @@ def test_moves_leave_the_prior_as_it_is():
     """
     rng = np.random.default_rng(0)
     many, first = from_the_prior(40_000, rng), from_the_prior(1250, rng)
-    seen, offsets, step = np.zeros((8, 4, 2, 3)), np.zeros((2, 2), int), np.full(2, 0.5)
+    seen, offsets, step = np.zeros((8, 4, 2, 3)), np.zeros((3, 2), int), np.full(2, 0.5)
     last = [draw_regions(SILENT, seen, t, offsets, 20, rng, step)[0] for t in first]
     moved = np.mean([np.abs(a.color - b.color).max() > 0.01 for a, b in zip(first, last)])
     assert moved > 0.9 and (step == 0.5).all()
@@ -192,7 +194,11 @@ class Two:
         self.data = SimpleNamespace(
             region=np.repeat([0, 1], 60),
             rows=SimpleNamespace(point=np.arange(120)),
-            lobes=SimpleNamespace(roughness=range(steps), most_metallic=np.ones(steps)),
+            lobes=SimpleNamespace(
+                roughness=range(steps),
+                most_metallic=np.ones(steps),
+                blurred=np.arange(steps)[:, None],
+            ),
         )
         self.targets, self.sharpness = targets, sharpness
 
@@ -217,7 +223,7 @@ def plain_regions() -> RegionMaterials:
 
 def drawn_offsets(targets, sharpness, rng) -> np.ndarray:
     """Offsets (2, 120), beginning with none."""
-    none = np.zeros((2, 120), int)
+    none = np.zeros((3, 120), int)
     found = draw_offsets(Two(targets, sharpness), steps_seen(), plain_regions(), none, rng)
     assert not none.any()
     return found
