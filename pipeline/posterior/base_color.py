@@ -109,7 +109,7 @@ class ColorSolver:
         self.at_pixels = bilinear_matrix(observations.uv, size)
         self.at_texels = self.at_pixels.T.tocsr()
         # grazing views smear: their pixels cover many texels
-        self.cosine = observations.cosine[:, None].astype(np.float32)
+        self.cosine: np.ndarray = observations.cosine[:, None].astype(np.float32)
 
     def onto(self, values: np.ndarray) -> np.ndarray:
         """Sums (t, t, c) over each texel's pixels of values (n, c)."""
@@ -129,7 +129,7 @@ class ColorSolver:
     def mean(self, weight: np.ndarray, photo: np.ndarray, sharpness: Sharpness) -> np.ndarray:
         """Colours (t, t, 3) of the photos (n, 3), pixels weighted by (n, 3)."""
         lit = self.onto(weight * self.shading.scaled)
-        pixels = self.onto((weight > 0).any(1, keepdims=True).astype(np.float32))
+        pixels = self.onto(np.asarray(weight[:, :1] > 0, np.float32))
         color = np.zeros((self.size, self.size, 3), np.float32)
         for _ in range(1 + sharpness.passes):
             left = self.onto(weight * (photo - self.picture(color)))
@@ -146,7 +146,7 @@ class ColorSolver:
         """
         color = begin
         trust = self.cosine  # the first solve trusts all pixels: its errors are those of `begin`
-        losses = []
+        losses: list[float] = []
         for contradiction in CONTRADICTIONS:
             picture = self.picture(color)
             photo = self.photo(picture)
@@ -161,7 +161,9 @@ class ColorSolver:
         return color, weight, losses[0]
 
     def sharpest_that_holds(self, weight: np.ndarray, photo: np.ndarray) -> Sharpness:
-        """Of CHOICES the one whose map, made from the other views, explains every EVERY-th best."""
+        """Of CHOICES the one whose map, made from the other views with the pixels' `weight` (n, 3),
+        explains every EVERY-th best; there all pixels count, as they do in a score.
+        """
         judge = (self.observations.view % EVERY == 0)[:, None]
         if judge.all() or not judge.any():
             return USUAL
@@ -170,7 +172,8 @@ class ColorSolver:
         errors = []
         for sharpness in CHOICES:
             picture = self.picture(self.mean(made_from, photo, sharpness))
-            errors.append(float((np.where(judge, weight, 0) * (picture - photo) ** 2).sum()))
+            relative = np.log((np.maximum(picture, 0) + SHADE) / (photo + SHADE))
+            errors.append(float((relative[judge[:, 0]] ** 2).mean()))
         return CHOICES[int(np.argmin(errors))]
 
 
