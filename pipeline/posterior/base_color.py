@@ -178,19 +178,24 @@ class ColorSolver:
 
 
 def color_map(
-    observations: Observations, shading: Shading, begin: np.ndarray
+    observations: Observations,
+    shading: Shading,
+    begin: np.ndarray,
+    sharpness: Sharpness | None = None,
 ) -> tuple[np.ndarray, dict]:
-    """Base colour map (t, t, 3) by robust means, from `begin` (t, t, 3).
+    """Base colour map (t, t, 3) by robust means, from `begin` (t, t, 3). Without `sharpness` it is
+    chosen.
 
     Texels that no pixel falls on take the nearest seen one's colour. Facts: `loss`, the mean
-    squared relative error of the picture that `begin` makes; the `Sharpness` that was chosen.
+    squared relative error of the picture that `begin` makes; the sharpness.
     """
     size = begin.shape[0]
     solver = ColorSolver(observations, shading, size)
     color, weight, loss = solver.robust(begin)
 
     photo = solver.photo(solver.picture(color))
-    sharpness = solver.sharpest_that_holds(weight, photo)
+    if sharpness is None:
+        sharpness = solver.sharpest_that_holds(weight, photo)
     color = solver.mean(weight, photo, sharpness)
     return fill(color, seen_texels(observations.uv, size)), {
         "loss": loss,

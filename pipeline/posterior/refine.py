@@ -3,11 +3,11 @@
 Four steps, one after the other:
 
 1. Light scale: a closed-form factor.
-2. Base colour at full size, in closed form (base_color.py), from few paths (shading.py).
+2. Base colour in closed form (base_color.py), from few paths (shading.py).
 3. Roughness and metallic: Adam through the path tracer, on maps of moderate size, because photos
    say little about their fine detail. The base colour moves along. Where the sampler drew them they
    stay near the draw.
-4. Base colour again, with these.
+4. Base colour again, with these and at full size.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
-from pipeline.posterior.base_color import color_map
+from pipeline.posterior.base_color import USUAL, Sharpness, color_map
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import shade
@@ -42,16 +42,20 @@ def units(settings: Refine) -> int:
 
 
 def solve_base_color(
-    problem: Problem, explanation: Explanation, pixels: int, rng: np.random.Generator
+    problem: Problem,
+    explanation: Explanation,
+    pixels: int,
+    rng: np.random.Generator,
+    sharpness: Sharpness | None = None,
 ) -> tuple[Explanation, dict]:
     """The explanation with the base colour that the photos show under its light and gloss, from
-    paths through `pixels` pixels; also the facts of `color_map`.
+    paths through `pixels` pixels. `sharpness` and the facts are those of `color_map`.
     """
     begin = np.clip(explanation.base_color, DARKEST_START, ALBEDO_MAX).astype(np.float32)
     explanation = replace(explanation, base_color=begin)
     shading = shade(problem, explanation, pixels, rng)
 
-    color, facts = color_map(problem.observations, shading, begin)
+    color, facts = color_map(problem.observations, shading, begin, sharpness)
     return replace(explanation, base_color=color), facts
 
 
@@ -146,26 +150,17 @@ def refine(
     `bar` moves on by `units(settings)`.
     """
     rng = np.random.default_rng([977, seed])
-    side = small.renderer.texture
-    full = resize_explanation(sample, settings.texture)
+    coarse = resize_explanation(sample, small.renderer.texture)
     scale = 1.0
     if not drawn:
-        coarse = resize_explanation(sample, side)
         scale = light_scale(small, coarse, SCALE_PIXELS * settings.pixels, rng)
-    full = replace(full, light=(sample.light * scale).astype(np.float32))
+    coarse = replace(coarse, light=(sample.light * scale).astype(np.float32))
 
-    full, first = solve_base_color(problem, full, settings.shading_pixels, rng)
+    coarse, first = solve_base_color(small, coarse, settings.shading_pixels, rng, USUAL)
     bar.step("base colour", COLOR_UNITS)
+    coarse = move_gloss(small, coarse, settings, drawn, bar, rng)
 
-    coarse = replace(
-        resize_explanation(sample, side),
-        light=full.light,
-        base_color=resize_explanation(full, side).base_color,
-    )
-    moved = move_gloss(small, coarse, settings, drawn, bar, rng)
-    gloss = resize_explanation(moved, settings.texture)
-    full = replace(full, roughness=gloss.roughness, metallic=gloss.metallic)
-
+    full = resize_explanation(coarse, settings.texture)
     full, last = solve_base_color(problem, full, settings.shading_pixels, rng)
     bar.step("base colour", COLOR_UNITS)
 
