@@ -41,9 +41,10 @@ from pipeline.base.config import parse_scene
 from pipeline.base.errors import run_stage
 from pipeline.base.files import write_json
 from pipeline.base.images import read_exr
+from pipeline.base.progress import Bar
 from pipeline.base.runtime import set_threads
 from pipeline.posterior.load import load_problem
-from pipeline.posterior.refine import COARSE, refine
+from pipeline.posterior.refine import COARSE, refine, units
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.posterior.split_gibbs.regions import group
 from pipeline.posterior.textures import gather
@@ -237,9 +238,10 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         )
         row = {"seconds": time.perf_counter() - began}
         set_threads(2)
-        final, _ = refine(
-            full, small, drawn, settings, seed, rescale=not facts.get("scale_drawn", False)
-        )
+        with Bar(f"refine {seed}", units(settings)) as bar:
+            final, _ = refine(
+                full, small, drawn, settings, seed, bar, facts.get("scale_drawn", False)
+            )
         pictures.append(
             [render_twice(full.renderer, final, view, mask, HELD_OUT_SPP) for view, _, mask in held]
         )
