@@ -249,7 +249,7 @@ def depth_maps(
     right to within `margin`; budget: object pixels over all photos; largest: scale of the views
     that is never exceeded; ground: height of the plane that the object stands on, if any.
     """
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    numba.set_num_threads(min(threads, numba.get_num_threads()))
     between = HullRange(hull, margin, ground)
     covered = [16.0 * float((between(v.scaled(0.25))[1] > 0).sum()) for v in views]
     scale = scale_for(views, covered, budget, largest)

@@ -15,10 +15,12 @@ fx, fy, cx, cy, width, height; X, Y, Z a point there; u, v its pixel coordinates
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
+
+Single = Any  # a float32, which compiled code must not mix with Python's own float
 
 REACH = 5  # half width of a patch in pixels
 STEP = 2  # every second pixel of it is compared
@@ -61,17 +63,17 @@ class Patch(NamedTuple):
     y: int
     values: np.ndarray
     weights: np.ndarray
-    mean: float
-    variance: float
+    mean: Single
+    variance: Single
 
 
 class Plane(NamedTuple):
     """Depth of the pixel's centre and unit normal in the camera's frame."""
 
-    z: float
-    n0: float
-    n1: float
-    n2: float
+    z: Single
+    n0: Single
+    n1: Single
+    n2: Single
 
 
 @njit(fastmath=True)
@@ -116,14 +118,14 @@ def patch_at(
 def photometric_cost(
     patch: Patch,
     plane: Plane,
-    q0: float,
-    q1: float,
+    q0: Single,
+    q1: Single,
     camera: np.ndarray,
     image: np.ndarray,
     M: np.ndarray,
     t: np.ndarray,
     K: np.ndarray,
-) -> float:
+) -> Single:
     """1 - ZNCC (0 to 2) of a patch with its picture in another photo under a plane.
 
     The plane's homography is replaced by its linear part at the patch's centre.
@@ -198,15 +200,15 @@ def photometric_cost(
 def reprojection_error(
     x: int,
     y: int,
-    z: float,
-    q0: float,
-    q1: float,
+    z: Single,
+    q0: Single,
+    q1: Single,
     camera: np.ndarray,
     depths: np.ndarray,
     M: np.ndarray,
     t: np.ndarray,
     K: np.ndarray,
-) -> float:
+) -> Single:
     """Pixels between the centre of pixel (x, y) and the place to which the other photo's own depth
     sends its picture back; at most GEOMETRIC_LIMIT, which also stands for no depth there.
     """
@@ -239,7 +241,7 @@ def reprojection_error(
 @njit(fastmath=True)
 def plane_cost(
     patch: Patch, plane: Plane, camera: np.ndarray, others: Others, costs: np.ndarray
-) -> float:
+) -> Single:
     """Mean of the BEST smallest costs over the other photos. `costs` (n,): working space."""
     q0 = (np.float32(patch.x) + HALF - camera[2]) / camera[0]
     q1 = (np.float32(patch.y) + HALF - camera[3]) / camera[1]
@@ -302,7 +304,7 @@ def best_of_region(
 
 @njit(fastmath=True)
 def carried(
-    depth: float, normal: np.ndarray, from_x: int, from_y: int, x: int, y: int, camera: np.ndarray
+    depth: Single, normal: np.ndarray, from_x: int, from_y: int, x: int, y: int, camera: np.ndarray
 ) -> Plane:
     """The plane of pixel (from_x, from_y) where it meets the ray of pixel (x, y); z = 0 where it
     does not.
@@ -322,14 +324,14 @@ def carried(
 
 
 @njit(fastmath=True)
-def _random(state: np.uint64) -> tuple[np.uint64, float]:
+def _random(state: Any) -> tuple[Any, Single]:
     """The next state of a linear congruential generator, and a number in [-1, 1)."""
     state = state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
     return state, np.float32((state >> np.uint64(40)) / 8388608.0 - 1.0)
 
 
 @njit(fastmath=True)
-def _alike(a: Plane, b: Plane) -> bool:
+def _alike(a: Plane, b: Plane) -> Any:
     """Whether trying one plane after the other is not worth the time."""
     near = abs(a.z - b.z) < np.float32(2e-5) * a.z
     return near and a.n0 * b.n0 + a.n1 * b.n1 + a.n2 * b.n2 > np.float32(0.9995)
@@ -337,8 +339,8 @@ def _alike(a: Plane, b: Plane) -> bool:
 
 @njit(fastmath=True)
 def moved(
-    plane: Plane, attempt: int, width: float, low: float, high: float, state: np.uint64
-) -> tuple[Plane, np.uint64]:
+    plane: Plane, attempt: int, width: Single, low: Single, high: Single, state: Any
+) -> tuple[Plane, Any]:
     """A plane nearby: depth and normal changed, or one of them. width: share of the range of
     depths (low to high) and, doubled, of the normal's length.
     """
@@ -371,7 +373,7 @@ def sweep(
     cost: np.ndarray,
     color: int,
     fresh: bool,
-    spread: float,
+    spread: Single,
     tries: int,
     seed: int,
 ) -> None:
@@ -429,8 +431,8 @@ def count_agreeing(
     depth: np.ndarray,
     normal: np.ndarray,
     normals: np.ndarray,
-    tolerance: float,
-    cosine: float,
+    tolerance: Single,
+    cosine: Single,
 ) -> np.ndarray:
     """In how many of the other photos the surface stands in the same place: (h, w).
 
