@@ -49,7 +49,7 @@ def test_a_thing_beside_the_object_is_left_out_and_said_so(make_table, tmp_path,
     assert overlaps(masks, ball).mean() > 0.9
     assert len(metrics["others"]) == 1
     assert metrics["others"][0]["size"] == pytest.approx(0.8 / 0.9, abs=0.2)
-    assert 0.9 < metrics["others"][0]["distance"] < 1.5
+    assert 0.75 < metrics["others"][0]["distance"] < 1.5  # cells reach beyond the balls
 
     text = metrics["warnings"][0]
     assert "one other thing" in text and "masks.parts: all" in text
