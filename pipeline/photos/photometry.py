@@ -25,9 +25,10 @@ from pipeline.photos.saturation import saturated
 
 DARK = 0.01  # radiance (white = 1) below which noise rules
 # Stops. Gains that spread less are left alone: shading that drifts along with the azimuth does as
-# much. Sets of one exposure show up to .26, and up to .19 in one channel against the three's mean.
-SAME = 0.4
-SAME_COLOUR = 0.25
+# much. Real sets whose exposure is known show up to .46 (brass; .26 where nothing is metal), and
+# up to .26 in one channel against the three's mean.
+SAME = 0.6
+SAME_COLOUR = 0.35
 MIN_POINTS = 30  # matched points a photo needs for a gain of its own
 ROUNDS = 20  # of reweighting
 SMALLEST = 0.02  # stops; residuals below count as equally good
