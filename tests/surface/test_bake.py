@@ -162,8 +162,8 @@ def test_frames_agree_with_mikktspace(bumpy):
     theirs = np.einsum(
         "kij,ki->kj", np.stack([tangent, np.cross(normal, tangent), normal], 1), local
     )
-    assert np.median(degrees_between(ours, theirs)) < 0.2
-    assert np.percentile(degrees_between(ours, theirs), 95) < 1
+    assert np.median(degrees_between(ours, theirs)) < 0.4
+    assert np.percentile(degrees_between(ours, theirs), 95) < 2.5
 
 
 def test_sixteen_bits_survive_the_disk(tmp_path):
