@@ -124,13 +124,13 @@ class Mesh(Section):
         0.25, ge=0, le=1, description="share of pixels with agreeing depth below which hull alone"
     )
     refine_steps: int = Field(
-        5,
+        4,
         ge=0,
         le=100,
         description="photometric refinement: steps at half and at full scale; 0: none",
     )
     plate: float = Field(
-        0.5, gt=0, le=100, description="photometric refinement: stiffness against the photos' noise"
+        2.0, gt=0, le=100, description="photometric refinement: stiffness against the photos' noise"
     )
 
 
