@@ -91,7 +91,7 @@ def test_docstrings_of_functions_and_classes_do_not_count_but_other_texts_do():
 
 def test_a_digest_follows_imports_and_only_them(code):
     before = digests(code)
-    edit(code / "pipeline/masks/plane.py", "\n\n\n", "\n\n\nEXTRA = 1\n\n\n")
+    edit(code / "pipeline/masks/ground.py", "\n\n\n", "\n\n\nEXTRA = 1\n\n\n")
     assert changed(before, code) == {"masks"}
 
     before = digests(code)
@@ -102,8 +102,8 @@ def test_a_digest_follows_imports_and_only_them(code):
 def test_moved_code_changes_the_digest(code):
     """The same text under another name is other code: what imports it has changed."""
     before = digests(code)
-    (code / "pipeline/masks/plane.py").rename(code / "pipeline/masks/ground.py")
-    edit(code / "pipeline/masks/make.py", "pipeline.masks.plane", "pipeline.masks.ground")
+    (code / "pipeline/masks/ground.py").rename(code / "pipeline/masks/ground.py")
+    edit(code / "pipeline/masks/make.py", "pipeline.masks.ground", "pipeline.masks.ground")
     assert changed(before, code) == {"masks"}
 
 
@@ -115,7 +115,7 @@ def test_files_left_out_are_known_by_their_path_not_by_their_name(code):
 
     (code / "pipeline/masks/config.py").write_text("LIMIT = 1\n")
     edit(
-        code / "pipeline/masks/plane.py",
+        code / "pipeline/masks/ground.py",
         "\n\n\n",
         "\n\n\nfrom pipeline.masks.config import LIMIT\n\n\n",
     )
