@@ -13,31 +13,29 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.special import logsumexp
 
+from pipeline.posterior.split_gibbs.coherence import ALONE, FAVOUR, OFFSETS, draw_labels
+from pipeline.posterior.split_gibbs.kind_moves import propose_jump
 from pipeline.posterior.split_gibbs.light_codes import Decoder
-from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, point_materials
-from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step, mix
+from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, seen_by
+from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step
 from pipeline.posterior.split_gibbs.material_prior import (
-    color_parts,
-    log_color_of,
+    joint_parts,
+    log_joint_of,
     log_own_prior,
     log_prior,
 )
 from pipeline.posterior.split_gibbs.noise import draw_noise
-from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
+from pipeline.posterior.split_gibbs.row_model import RowModel
 from pipeline.posterior.split_gibbs.state import Kernel, Noise, Randomness, RegionMaterials, State
 
-# of a point from its region: steps of roughness, steps of METALLIC
-OFFSETS = BETWEEN * np.arange(-3, 4), np.array([-9, -6, -4, -2, 0, 2, 4, 6, 9])
-# of the discrete normal that offsets come from, in units of UNITS
-WIDTHS = np.array([0.0, 0.7, 1.5, 3.0])
-UNITS = BETWEEN, 1
-# a region is of one material unless its points say otherwise
-WIDTH_PRIOR = np.log([0.5, 0.2, 0.2, 0.1])
 # deviation of the log light scale about the scale that fits a grey object
 SCALE_PRIOR = 1.5
 GAUGE_STEPS = 60
+# sweeps over the points' labels in a draw of their offsets
+LABEL_SWEEPS = 3
+# of the steps of the regions' materials: one in so many is a jump to another kind or roughness
+JUMP_EVERY = 4
 # acceptance that step sizes adapt towards, how fast, and their bounds
 ACCEPTANCE, ADAPTATION, STEP_BOUNDS = 0.3, 0.05, (0.003, 0.5)
 
@@ -93,15 +91,18 @@ def propose_all(
     )
 
 
-def seen_by(
-    data: RowData, seen: np.ndarray, materials: RegionMaterials, offsets: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """U and W (n, 3) from what every lobe sees of the light, `seen` (steps, 4, n, 3)."""
-    roughness, metallic = (
-        values[data.rows.point] for values in point_materials(data, materials, offsets)
-    )
-    lobes = seen[roughness, :, np.arange(seen.shape[2])].transpose(1, 0, 2)
-    return mix(lobes, metallic[:, None])
+def region_density(
+    model: RowModel, seen: np.ndarray, materials: RegionMaterials, offsets: np.ndarray
+) -> np.ndarray:
+    """Log-density of every region (R,): its rows given what every lobe sees of the light (steps, 4,
+    n, 3), and its prior beside what joins the regions.
+    """
+    data = model.data
+    points = model.point_values(*seen_by(data, seen, materials, offsets), materials)
+    likelihood = np.bincount(data.region, points, len(materials))
+    impossible = materials.metallic > data.lobes.most_metallic[materials.roughness]
+    own = log_own_prior(materials, data.lobes.roughness)
+    return np.where(impossible, -np.inf, likelihood + own)
 
 
 def draw_regions(
@@ -115,47 +116,44 @@ def draw_regions(
     proposal: Proposal = propose_all,
 ) -> tuple[RegionMaterials, np.ndarray, np.ndarray]:
     """`steps` Metropolis-Hastings steps of every region, given what every lobe sees (steps, 4, n,
-    3) of the light.
+    3) of the light; with `propose_all`, some of them jumps.
 
     step (R,): step sizes. Returns materials, adapted step sizes, and the share of accepted
     proposals (R,).
     """
-    data = model.data
-    most = data.lobes.most_metallic
+    now = region_density(model, seen, materials, offsets)
+    walks, taken = 0, np.zeros(len(materials))
+    for k in range(steps):
+        jumps = proposal is propose_all and k % JUMP_EVERY == JUMP_EVERY - 1
+        if jumps:
+            new, volume = propose_jump(model, seen, materials, offsets, rng)
+        else:
+            new, volume = proposal(materials, len(seen), rng, step), np.zeros(len(materials))
 
-    def log_density(m: RegionMaterials) -> np.ndarray:
-        points = model.point_values(*seen_by(data, seen, m, offsets), m)
-        likelihood = np.bincount(data.region, points, len(m))
-        impossible = m.metallic > most[m.roughness]
-        return np.where(impossible, -np.inf, likelihood + log_own_prior(m))
-
-    now = log_density(materials)
-    taken = np.zeros(len(materials))
-    for _ in range(steps):
-        new = proposal(materials, len(seen), rng, step)
-        then = log_density(new)
-        yes = accepted(materials, new, then - now, rng)
+        then = region_density(model, seen, new, offsets)
+        yes = accepted(materials, new, then - now + volume, rng)
         materials = new.where(yes, materials)
         now = np.where(yes, then, now)
-        step = np.clip(step * np.exp(ADAPTATION * (yes - ACCEPTANCE)), *STEP_BOUNDS)
-        taken += yes
-    return materials, step, taken / max(steps, 1)
+        if not jumps:
+            step = np.clip(step * np.exp(ADAPTATION * (yes - ACCEPTANCE)), *STEP_BOUNDS)
+            walks, taken = walks + 1, taken + yes
+    return materials, step, taken / max(walks, 1)
 
 
 def accepted(
     materials: RegionMaterials, new: RegionMaterials, gain: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """Which regions take their new materials (R,), one after the other; gain (R,): what speaks for
-    it beside the prior of the colours.
+    it beside the prior that joins the regions.
     """
     regions = len(gain)
     yes = np.zeros(regions, bool)
-    old = color_parts(materials.color, materials.metallic)
-    change = color_parts(new.color, new.metallic) - old
+    old = joint_parts(materials.color, materials.metallic)
+    change = joint_parts(new.color, new.metallic) - old
     total = old.sum(0)
-    now = log_color_of(total, regions)
+    now = log_joint_of(total, regions)
     for r, threshold in enumerate(np.log(rng.random(regions))):
-        then = log_color_of(total + change[r], regions)
+        then = log_joint_of(total + change[r], regions)
         yes[r] = threshold < gain[r] + then - now
         if yes[r]:
             total, now = total + change[r], then
@@ -169,32 +167,21 @@ def draw_offsets(
     offsets: np.ndarray,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """How far every point's roughness and metallic lie from its region's (2, p): discrete normals
-    of a width that each region draws for itself, 0 among them, with its points' offsets summed out.
+    """How every point lies off its region (2, p), one row of `coherence.OFFSETS` after the other,
+    given the labels of its neighbours.
     """
     data = model.data
     offsets = offsets.copy()
-    for kind, steps in enumerate(OFFSETS):
+    for row, labels in enumerate(OFFSETS):
+        now = np.searchsorted(labels, offsets[row])
         columns = []
-        for step in steps:
-            offsets[kind] = step
+        for label in labels:
+            offsets[row] = label
             columns.append(model.point_values(*seen_by(data, seen, materials, offsets), materials))
-        table = np.stack(columns, 1)
-        prior = log_offset(steps / UNITS[kind])[:, None]
-        for r in range(len(materials)):
-            mine = np.flatnonzero(data.region == r)
-            values = table[mine][None] + prior  # (widths, points, steps)
-            width = categorical(logsumexp(values, 2).sum(1)[None] + WIDTH_PRIOR, rng)[0]
-            offsets[kind, mine] = steps[categorical(values[width], rng)]
+        odds = np.stack(columns, 1) + ALONE[row]
+        drawn = draw_labels(data.neighbours, odds, FAVOUR[row], now, LABEL_SWEEPS, rng)
+        offsets[row] = labels[drawn]
     return offsets
-
-
-def log_offset(steps: np.ndarray) -> np.ndarray:
-    """Log-probability of every offset (widths, steps)."""
-    with np.errstate(divide="ignore"):
-        far = -0.5 * (steps / np.maximum(WIDTHS[:, None], 1e-9)) ** 2
-    value = np.where(steps == 0, 0.0, far)
-    return value - logsumexp(value, 1, keepdims=True)
 
 
 def categorical(log_odds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -237,7 +224,7 @@ def draw_gauge(
         gain = np.exp(s - log_scale + d)
         rows = model.point_values(U * gain, W * gain, m).sum()
         scale = 0.5 * ((s - centre) / SCALE_PRIOR) ** 2
-        return rows + log_prior(m) + pull(d) - scale
+        return rows + log_prior(m, model.data.lobes.roughness) + pull(d) - scale
 
     shift, scale, taken = np.zeros(3), log_scale, 0
     now = log_density(materials, log_scale, shift)

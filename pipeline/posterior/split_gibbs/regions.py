@@ -15,6 +15,7 @@ from scipy.cluster.vq import kmeans2
 BRIGHTNESS = 0.35  # weight of log brightness against log chromaticity
 EXPLAINED = 0.85  # share of the spread at which no more groups are added, unless told
 LARGEST = 6
+CALM = 128  # of a map's side: distances to the groups are averaged over as much
 
 
 def features(rgb: np.ndarray) -> np.ndarray:
@@ -42,7 +43,11 @@ def group(
 
 
 def texel_regions(base_color: np.ndarray, centers: np.ndarray, size: int) -> np.ndarray:
-    """Region of every texel (size, size) by a map of base colour."""
+    """Region of every texel (size, size) by a map of base colour: the nearest centre's, distances
+    averaged over neighbours and lone texels voted down, for a map's noise is no material.
+    """
     colour = cv2.resize(base_color, (size, size), interpolation=cv2.INTER_AREA)
-    label = ((features(colour)[:, :, None] - centers) ** 2).sum(-1).argmin(-1).astype(np.uint8)
+    far = ((features(colour)[:, :, None] - centers) ** 2).sum(-1)
+    far = cv2.GaussianBlur(far, (0, 0), max(size / CALM, 0.3)).reshape(far.shape)
+    label = far.argmin(-1).astype(np.uint8)
     return cv2.medianBlur(label, 5) if size >= 32 else label

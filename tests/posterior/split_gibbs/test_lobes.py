@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pipeline.posterior.split_gibbs.coherence import OTHER
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, point_materials
 from pipeline.posterior.split_gibbs.lobes import BETWEEN, TRACED, LobeTable
 from pipeline.posterior.split_gibbs.row_model import RowData
@@ -79,5 +80,5 @@ def test_metals_are_no_rougher_than_their_lobe_keeps_light(transport):
     n = len(transport.rows.point)
     data = RowData.plain(transport, lobes, np.ones((n, 3)), np.zeros(2, int), 1)
     rough = one_material(0.5, len(most) - 1, 0.05)
-    offsets = np.array([[0, 0], [0, 9]])
+    offsets = np.array([[0, 0], [0, OTHER]])
     np.testing.assert_allclose(point_materials(data, rough, offsets)[1], [0.05, 0.35])
