@@ -63,7 +63,7 @@ def region_maps(
 
 
 def spread(total: np.ndarray) -> np.ndarray:
-    """Means (t, t, c) from sums and, last, counts (t, t, c + 1); the nearest known one elsewhere."""
+    """Means (t, t, c) from sums and, last, counts (t, t, c + 1); the nearest elsewhere."""
     known = total[..., -1] > 0.05
     return fill(total[..., :-1] / np.maximum(total[..., -1:], 1e-6), known)
 

@@ -64,7 +64,7 @@ def propose_all(
     materials: RegionMaterials, roughnesses: int, rng: np.random.Generator, step: np.ndarray
 ) -> RegionMaterials:
     """Symmetric proposal for every region: mean colour always, roughness and metallic half of the
-    time each; a fifth of these moves go anywhere.
+    time each; a fifth of the roughness moves go anywhere.
     """
     new = propose_color(materials, roughnesses, rng, step)
     regions = len(materials)
@@ -76,11 +76,8 @@ def propose_all(
     moves = rng.random(regions) < 0.5
     roughness = np.where(moves, materials.roughness + jump, materials.roughness)
 
-    jump = np.where(
-        rng.random(regions) < 0.2, rng.integers(-12, 13, regions), rng.integers(-1, 2, regions)
-    )
     now = metallic_step(materials.metallic)
-    metallic = np.where(rng.random(regions) < 0.5, now + jump, now)
+    metallic = np.where(rng.random(regions) < 0.5, now + rng.integers(-1, 2, regions), now)
 
     inside = (roughness >= 0) & (roughness < roughnesses)
     inside = inside & (metallic >= 0) & (metallic < len(METALLIC))

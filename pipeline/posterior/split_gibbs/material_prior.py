@@ -18,17 +18,17 @@ from pipeline.posterior.problem import ALBEDO_MAX
 from pipeline.posterior.split_gibbs.lobes import METALLIC, metallic_step
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 
-# kinds: dielectric, mixed (dirt on metal, a region that holds both), metal; of the values of
-# lobes.METALLIC
-KIND = np.repeat([0, 1, 2], [3, 7, 3])
-# how often a surface is of a kind
+# how often a surface is of each of lobes.METALLIC
 KIND_SHARE = np.array([0.80, 0.01, 0.19])
 # of a Dirichlet distribution about these shares, from which every body draws its own: a region is
 # of another kind than one before it about half as often as by the shares alone
 BODY = 1.0
-# within its kind: nearly all dielectrics are no metal at all, nearly all metals nothing else
-METALLIC_PRIOR = np.log(np.repeat([1, 1 / 7, 1], [3, 7, 3]))
-METALLIC_PRIOR[[0, 1, 2]] = METALLIC_PRIOR[[12, 11, 10]] = np.log([0.9, 0.07, 0.03])
+
+# added to base colours before their log is taken: below it all is black
+BLACK = 0.01
+# metals darker than this fall off with this width of their log brightness: what reflects less is a
+# dielectric's highlight (a metal of base colour .04 looks like a black dielectric)
+DARKEST_METAL, FALL = 0.08, 0.15
 
 # mean and width of log base colour, mean of channels; between kinds by metallic
 DIELECTRIC, METAL = (np.log(0.3), 0.8), (np.log(0.6), 0.35)
@@ -61,13 +61,13 @@ def joint_parts(color: np.ndarray, metallic: np.ndarray) -> np.ndarray:
     standardised brightness, its square, log widths, the tint's sum of squares, the tint (2), and
     which kind it is (3).
     """
-    log_color, m = np.log(color), metallic[:, None]
+    log_color, m = np.log(color + BLACK), metallic[:, None]
     centre, width = ((1 - metallic) * a + metallic * b for a, b in zip(DIELECTRIC, METAL))
     bright = (log_color.mean(1) - centre) / width
     middle, reach = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC_TINT, METAL_TINT))
     tint = (log_color @ TINTS.T - middle) / reach
     widths = np.log(width) + np.log(reach).sum(1)
-    kinds = np.eye(len(KIND_SHARE))[KIND[metallic_step(metallic)]]
+    kinds = np.eye(len(METALLIC))[metallic_step(metallic)]
     return np.column_stack([bright, bright**2, widths, (tint**2).sum(1), tint, kinds])
 
 
@@ -90,7 +90,7 @@ def log_joint_prior(color: np.ndarray, metallic: np.ndarray) -> float:
 
 @lru_cache(maxsize=8)
 def log_roughness(roughness: tuple[float, ...]) -> np.ndarray:
-    """Log-probability of every roughness step at every value of METALLIC, (13, steps)."""
+    """Log-probability of every roughness step at every value of METALLIC, (3, steps)."""
     m = METALLIC[:, None]
     centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC_ROUGHNESS, METAL_ROUGHNESS))
     value = -0.5 * ((np.log(roughness) - centre) / width) ** 2
@@ -98,13 +98,17 @@ def log_roughness(roughness: tuple[float, ...]) -> np.ndarray:
 
 
 def log_own_prior(materials: RegionMaterials, roughness: tuple[float, ...]) -> np.ndarray:
-    """Of every region's spread of colour, metallic within its kind and roughness step of
-    `roughness` (R,); -inf where a value is impossible.
+    """Of every region's spread of colour and of its roughness, `roughness` being the value of every
+    step, with the bounds of base colours (R,); -inf where a value is impossible.
     """
     mean, width = SPREAD_PRIOR
     out = -0.5 * ((np.log(materials.spread) - mean) / width) ** 2
-    step = metallic_step(materials.metallic)
-    out = out + METALLIC_PRIOR[step] + log_roughness(roughness)[step, materials.roughness]
+    of_metallic = log_roughness(roughness)[metallic_step(materials.metallic)]
+    out = out + of_metallic[np.arange(len(materials)), materials.roughness]
+    # density by log colour of what has a density by log (colour + BLACK)
+    out = out + np.log(materials.color / (materials.color + BLACK)).sum(1)
+    darker = np.minimum(np.log(materials.color).mean(1) - np.log(DARKEST_METAL), 0) / FALL
+    out = out - 0.5 * materials.metallic * darker**2
     impossible = (materials.color >= ALBEDO_MAX).any(1) | (materials.spread > SPREAD_MAX)
     return np.where(impossible, -np.inf, out)
 

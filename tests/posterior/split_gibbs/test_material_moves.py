@@ -20,15 +20,16 @@ from pipeline.posterior.split_gibbs.material_moves import (
     propose_spread,
 )
 from pipeline.posterior.split_gibbs.material_prior import (
+    BLACK,
     BODY,
     COMMON,
+    DARKEST_METAL,
     DIELECTRIC,
     DIELECTRIC_TINT,
-    KIND,
+    FALL,
     KIND_SHARE,
     METAL,
     METAL_TINT,
-    METALLIC_PRIOR,
     SPREAD_PRIOR,
     TAIL,
     TINTS,
@@ -70,26 +71,27 @@ def between(metallic: np.ndarray, of_dielectric, of_metal) -> list:
 
 def from_the_prior(count: int, rng) -> list[RegionMaterials]:
     """Draws of two regions, directly: Student's t as a normal over a chi, kinds from shares that
-    the body draws, impossible colours and rough metals thrown away.
+    the body draws, impossible colours and rough or dark metals thrown away.
     """
     root = np.linalg.cholesky((1 - COMMON) * np.eye(2) + COMMON)
-    tried = 6 * count
+    tried = 4 * count
     chi = np.sqrt(TAIL / rng.chisquare(TAIL, (2, tried, 1, 1)))
     student = lambda k: root @ rng.normal(size=(tried, 2, k)) * chi[k - 1]
 
     share = rng.dirichlet(BODY * KIND_SHARE, tried)
-    kind = (rng.random((tried, 2, 1)) > share.cumsum(1)[:, None]).sum(-1)
-    within = np.where(KIND == np.arange(3)[:, None], METALLIC_PRIOR, -np.inf)[kind]
-    m = METALLIC[(within + rng.gumbel(size=within.shape)).argmax(-1)]
+    m = METALLIC[(rng.random((tried, 2, 1)) > share.cumsum(1)[:, None]).sum(-1)]
     table = log_roughness(ROUGHNESS)[metallic_step(m.ravel())].reshape(tried, 2, 8)
     roughness = (table + rng.gumbel(size=table.shape)).argmax(-1)
 
     centre, width = between(m, DIELECTRIC, METAL)
     middle, reach = between(m, DIELECTRIC_TINT, METAL_TINT)
     bright = centre + width * student(1)[..., 0]
-    color = np.exp(bright[..., None] + (middle + reach * student(2)) @ TINTS)
+    color = np.exp(bright[..., None] + (middle + reach * student(2)) @ TINTS) - BLACK
 
-    possible = (color.max((1, 2)) < 0.98) & (m <= MOST_METALLIC[roughness]).all(1)
+    possible = (color > 0).all((1, 2)) & (color.max((1, 2)) < 0.98)
+    possible &= (m <= MOST_METALLIC[roughness]).all(1)
+    darker = np.minimum(np.log(np.maximum(color, 1e-9)).mean(2) - np.log(DARKEST_METAL), 0) / FALL
+    possible &= rng.random(tried) < np.exp(-0.5 * m * darker**2).prod(1)
     kept = np.flatnonzero(possible)[:count]
     assert len(kept) == count
     return [RegionMaterials(color[k], np.full(2, 0.3), roughness[k], m[k]) for k in kept]
@@ -137,7 +139,7 @@ def test_moves_leave_the_prior_as_it_is():
 def some_materials(regions: int, rng) -> RegionMaterials:
     """Anything possible."""
     return RegionMaterials(
-        rng.uniform(0.02, 0.95, (regions, 3)),
+        rng.choice([0.02, 1.0]) * rng.uniform(0.02, 0.95, (regions, 3)),
         rng.uniform(0.05, 1.0, regions),
         rng.integers(8, size=regions),
         rng.choice(METALLIC, regions),
@@ -153,7 +155,7 @@ def test_prior_of_the_materials_is_students_t():
     shape = (1 - COMMON) * np.eye(3) + COMMON
 
     def expected(t: RegionMaterials) -> float:
-        log_color, m = np.log(t.color), t.metallic
+        log_color, m = np.log(t.color + BLACK), t.metallic
         centre, width = between(m, DIELECTRIC, METAL)
         middle, reach = between(m, DIELECTRIC_TINT, METAL_TINT)
         bright = stats.multivariate_t(centre, np.outer(width, width) * shape, df=TAIL)
@@ -161,12 +163,14 @@ def test_prior_of_the_materials_is_students_t():
         tint = stats.multivariate_t(middle.ravel(), outer * np.kron(shape, np.eye(2)), df=TAIL)
         spread = stats.norm(*SPREAD_PRIOR).logpdf(np.log(t.spread)).sum()
         step = metallic_step(m)
-        count = np.bincount(KIND[step], minlength=3)
+        count = np.bincount(step, minlength=3)
         body = stats.dirichlet_multinomial(BODY * KIND_SHARE, 3).logpmf(count)
         in_order = body - gammaln(4) + gammaln(count + 1).sum()
-        own = METALLIC_PRIOR[step] + log_roughness(ROUGHNESS)[step, t.roughness]
+        own = log_roughness(ROUGHNESS)[step, t.roughness]
+        darker = np.minimum(np.log(t.color).mean(1) - np.log(DARKEST_METAL), 0)
+        falls = np.log(t.color / (t.color + BLACK)).sum() - (0.5 * m * (darker / FALL) ** 2).sum()
         tints = tint.logpdf((log_color @ TINTS.T).ravel())
-        return bright.logpdf(log_color.mean(1)) + tints + spread + in_order + own.sum()
+        return bright.logpdf(log_color.mean(1)) + tints + spread + in_order + own.sum() + falls
 
     draws = [some_materials(3, rng) for _ in range(50)]
     difference = [log_prior(t, ROUGHNESS) - expected(t) for t in draws]
@@ -207,7 +211,7 @@ def test_proposals_are_symmetric():
     flow = np.bincount(at(start) * states + at(new), minlength=states**2).reshape(states, states)
     both = flow + flow.T
     often = np.triu(both >= 20, 1)
-    assert often.sum() > 300
+    assert often.sum() > 60
     z = (flow - flow.T)[often] / np.sqrt(both[often])
     assert abs((z**2).mean() - 1) < 5 * np.sqrt(2 / often.sum()) and np.abs(z).max() < 4.5
 
