@@ -1,9 +1,9 @@
 """Jumps between kinds: a region turns from dielectric to metal, or to another roughness, whole.
 
 By small steps no chain comes from one kind to the other, for halfway lies what the world has not
-got. A jump changes metallic, roughness and base colour together, so that what the region sends to
-the cameras in the mean stays as it is. The new colour is a function of the old one, and the way
-back is its inverse; so the ratio of volumes enters the acceptance (Green 1995).
+got. A jump changes metallic, roughness and base colour together: the colour is drawn about the one
+with which the new material sends to the cameras what the photos show in the mean. The densities of
+that draw, there and back, enter the acceptance (Hastings 1970).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.posterior.problem import ALBEDO_MAX
 from pipeline.posterior.split_gibbs.likelihood import seen_by
 from pipeline.posterior.split_gibbs.lobes import METALLIC, metallic_step
 from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
@@ -19,6 +20,11 @@ from pipeline.posterior.split_gibbs.state import RegionMaterials
 
 # of all jumps: those to the other kind, and those to any other roughness
 TO_OTHER_KIND, TO_ANY_ROUGHNESS = 0.5, 0.8
+# log colours are Student's t about the guess: degrees of freedom; width, and what is added to it
+# over the guess, for photos hardly tell one black from another
+FREEDOM, WIDTH, OF_BLACK = 3.0, 0.1, 0.005
+# a guess is no darker
+DARKEST = 0.01
 
 
 def propose_jump(
@@ -28,8 +34,8 @@ def propose_jump(
     offsets: np.ndarray,
     rng: np.random.Generator,
 ) -> tuple[RegionMaterials, np.ndarray]:
-    """A jump of every region, as likely from here to there as back; and the log of the volume of
-    log colours there over that here (R,), -inf where no base colour keeps the mean radiance.
+    """A jump of every region, and the log of the density of the way back over that of the way there
+    (R,).
 
     seen (steps, 4, n, 3): what every lobe sees of the light.
     """
@@ -42,15 +48,35 @@ def propose_jump(
     roughness = np.where(anywhere, drawn, materials.roughness)
     new = replace(materials, metallic=METALLIC[step], roughness=roughness)
 
+    here = guessed_color(model, *seen_by(model.data, seen, materials, offsets))
+    there = guessed_color(model, *seen_by(model.data, seen, new, offsets))
+    color = there * np.exp(width(there) * rng.standard_t(FREEDOM, size=there.shape))
+    back = log_density(materials.color, here) - log_density(color, there)
+    return replace(new, color=color), back
+
+
+def guessed_color(model: RowModel, U: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """Base colours (R, 3) with which the regions' rows are explained best, saturated ones left out,
+    U and W (n, 3) being what the lobes see; within [DARKEST, ALBEDO_MAX].
+    """
     data = model.data
-    weight = model.precision * data.observed
-    u, w = (region_sums(data, weight * part) for part in seen_by(data, seen, materials, offsets))
-    u_new, w_new = (region_sums(data, weight * part) for part in seen_by(data, seen, new, offsets))
-    color = (materials.color * u + w - w_new) / u_new
-    possible = ((color > 0) & (u / u_new > 0)).all(1)
-    color = np.where(possible[:, None], color, materials.color)
-    volume = np.log(np.where(possible[:, None], materials.color / color * u / u_new, 1)).sum(1)
-    return replace(new, color=color), np.where(possible, volume, -np.inf)
+    weight = np.where(data.clipped[:, None], 0, model.precision * U)
+    explained = region_sums(data, weight * (data.observed - W))
+    best = explained / np.maximum(region_sums(data, weight * U), 1e-12)
+    return np.clip(best, DARKEST, ALBEDO_MAX)
+
+
+def width(guess: np.ndarray) -> np.ndarray:
+    """Of log colours about a guess (R, 3)."""
+    return WIDTH + OF_BLACK / guess
+
+
+def log_density(color: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    """Of log colours (R, 3) about a guess, (R,), up to a constant."""
+    scale = width(guess)
+    far = np.log(color / guess) / scale
+    tail = 0.5 * (FREEDOM + 1) * np.log1p(far**2 / FREEDOM)
+    return -(tail + np.log(scale)).sum(1)
 
 
 def region_sums(data: RowData, rows: np.ndarray) -> np.ndarray:

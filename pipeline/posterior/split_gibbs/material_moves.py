@@ -35,7 +35,7 @@ GAUGE_STEPS = 60
 # sweeps over the points' labels in a draw of their offsets
 LABEL_SWEEPS = 3
 # of the steps of the regions' materials: one in so many is a jump to another kind or roughness
-JUMP_EVERY = 4
+JUMP_EVERY = 3
 # acceptance that step sizes adapt towards, how fast, and their bounds
 ACCEPTANCE, ADAPTATION, STEP_BOUNDS = 0.3, 0.05, (0.003, 0.5)
 
@@ -123,12 +123,12 @@ def draw_regions(
     for k in range(steps):
         jumps = proposal is propose_all and k % JUMP_EVERY == JUMP_EVERY - 1
         if jumps:
-            new, volume = propose_jump(model, seen, materials, offsets, rng)
+            new, back = propose_jump(model, seen, materials, offsets, rng)
         else:
-            new, volume = proposal(materials, len(seen), rng, step), np.zeros(len(materials))
+            new, back = proposal(materials, len(seen), rng, step), np.zeros(len(materials))
 
         then = region_density(model, seen, new, offsets)
-        yes = accepted(materials, new, then - now + volume, rng)
+        yes = accepted(materials, new, then - now + back, rng)
         materials = new.where(yes, materials)
         now = np.where(yes, then, now)
         if not jumps:

@@ -8,10 +8,11 @@ import pytest
 from scipy import stats
 from scipy.special import gammaln
 
+from pipeline.posterior.problem import ALBEDO_MAX
 from pipeline.posterior.split_gibbs.coherence import ALONE, OFFSETS, OTHER, Neighbours
-from pipeline.posterior.split_gibbs.kind_moves import propose_jump
+from pipeline.posterior.split_gibbs.kind_moves import DARKEST, FREEDOM, propose_jump, width
 from pipeline.posterior.split_gibbs.likelihood import point_materials
-from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step
+from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step, mix
 from pipeline.posterior.split_gibbs.material_moves import (
     accepted,
     draw_offsets,
@@ -47,7 +48,8 @@ SILENT = SimpleNamespace(
     data=SimpleNamespace(
         region=np.array([0, 1]),
         row_region=np.array([0, 1]),
-        observed=np.ones((2, 3)),
+        observed=np.array([[0.3, 0.2, 0.1], [0.6, 0.6, 0.6]]),
+        clipped=np.zeros(2, bool),
         rows=SimpleNamespace(point=np.array([0, 1])),
         lobes=SimpleNamespace(roughness=ROUGHNESS, most_metallic=MOST_METALLIC),
     ),
@@ -224,46 +226,46 @@ def test_proposals_are_symmetric():
     assert spread.std() > 0.2 and stats.kstest(spread[::2], -spread[1::2]).pvalue > 1e-3
 
 
-def test_jumps_keep_the_mean_radiance_and_lead_back():
-    """Of every region; from there, the inverse jump ends where this one began, and the volumes'
-    logs are opposite; metal and dielectric are one another's other kind.
+def test_jumps_keep_what_the_photos_show():
+    """The colour of the other kind is drawn about the one that sends what the photo shows; its
+    density there and back is Student's t of log colour.
     """
     rng, seen, offsets = np.random.default_rng(3), lobes_seen(), np.zeros((2, 2), int)
-    jumped = 0
-    for _ in range(300):
+    sent_over_shown, kinds = [], []
+    for _ in range(400):
         now = replace(some_materials(2, rng), metallic=rng.choice([0.0, 1.0], 2))
-        new, volume = propose_jump(SILENT, seen, now, offsets, rng)
-        sent_now, sent_new = sent(seen, now), sent(seen, new)
-        possible = np.maximum(now.metallic, new.metallic) <= np.minimum(
-            MOST_METALLIC[now.roughness], MOST_METALLIC[new.roughness]
+        new, back = propose_jump(SILENT, seen, now, offsets, rng)
+        guess = [best_color(seen, t) for t in (now, new)]
+        here, there = (
+            stats.t.logpdf(np.log(t.color / g) / width(g), FREEDOM) - np.log(width(g))
+            for t, g in zip((now, new), guess)
         )
-        for r in np.flatnonzero(np.isfinite(volume) & possible):
-            np.testing.assert_allclose(sent_new[r], sent_now[r], rtol=1e-9)
-            assert new.metallic[r] in (now.metallic[r], 1 - now.metallic[r])
-            slope = log_slope(seen, now, new, r)
-            np.testing.assert_allclose(volume[r], slope, atol=1e-5)
-            jumped += new.metallic[r] != now.metallic[r]
-    assert jumped > 50
+        np.testing.assert_allclose(back, (here - there).sum(1), atol=1e-9)
+
+        reached = (guess[1] > DARKEST) & (guess[1] < ALBEDO_MAX)
+        ratio = sent(seen, new) / SILENT.data.observed
+        sent_over_shown += ratio[reached].tolist()
+        kinds += (new.metallic != now.metallic).tolist()
+    assert abs(np.median(sent_over_shown) - 1) < 0.02 and 0.4 < np.mean(kinds) < 0.6
+    assert np.quantile(np.abs(np.log(sent_over_shown)), 0.8) < 0.3
+
+
+def lobes_at(seen: np.ndarray, t: RegionMaterials) -> tuple[np.ndarray, np.ndarray]:
+    """U and W (2, 3) of two regions of one row each."""
+    metallic = np.minimum(t.metallic, MOST_METALLIC[t.roughness])
+    return mix(seen[t.roughness, :, np.arange(2)].transpose(1, 0, 2), metallic[:, None])
 
 
 def sent(seen: np.ndarray, t: RegionMaterials) -> np.ndarray:
-    """What two regions of one row each send to the cameras, (2, 3)."""
-    diffuse, highlight, white, black = seen[t.roughness, :, np.arange(2)].transpose(1, 0, 2)
-    m = t.metallic[:, None]
-    metal = t.color * white + (1 - t.color) * black
-    return (1 - m) * (t.color * diffuse + highlight) + m * metal
+    """What they send to the cameras, (2, 3)."""
+    U, W = lobes_at(seen, t)
+    return t.color * U + W
 
 
-def log_slope(seen, now: RegionMaterials, new: RegionMaterials, r: int) -> float:
-    """Log of the determinant of new log colours by old ones, from colours a little brighter: those
-    that send as much more as the old ones do.
-    """
-    step = 1e-6
-    here = replace(now, color=now.color * np.exp(step))
-    there = replace(new, color=new.color * np.exp(step))
-    rise_here = (sent(seen, here) - sent(seen, now))[r]
-    rise_there = (sent(seen, there) - sent(seen, new))[r]
-    return float(np.log(rise_here / rise_there).sum())
+def best_color(seen: np.ndarray, t: RegionMaterials) -> np.ndarray:
+    """The colours (2, 3) with which they send what the photo shows, as far as there are such."""
+    U, W = lobes_at(seen, t)
+    return np.clip((SILENT.data.observed - W) / U, DARKEST, ALBEDO_MAX)
 
 
 class Two:
