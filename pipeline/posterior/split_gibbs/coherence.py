@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.special import logsumexp
 
 from pipeline.posterior.split_gibbs.lobes import BETWEEN
 
@@ -90,3 +91,38 @@ def draw_labels(
             beside = neighbours.weight[p] @ favour[label[neighbours.index[p]]]
             label[p] = (chance[p] + beside).argmax()
     return label
+
+
+def log_field(
+    neighbours: Neighbours, log_odds: np.ndarray, favour: np.ndarray, label: np.ndarray
+) -> np.ndarray:
+    """Log-density of the labels (p,) by point, up to a constant: half of every pair's for each."""
+    pairs = favour[label[:, None], label[neighbours.index]] * neighbours.weight
+    return log_odds[np.arange(len(label)), label] + 0.5 * pairs.sum(1)
+
+
+def draw_in_order(
+    neighbours: Neighbours, log_odds: np.ndarray, favour: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Labels (p,) drawn one point after the other, each given those before it."""
+    chance = log_odds + rng.gumbel(size=log_odds.shape)
+    before = earlier(neighbours)
+    label = np.zeros(len(log_odds), int)
+    for p in range(len(label)):
+        label[p] = (chance[p] + before[p] @ favour[label[neighbours.index[p]]]).argmax()
+    return label
+
+
+def log_in_order(
+    neighbours: Neighbours, log_odds: np.ndarray, favour: np.ndarray, label: np.ndarray
+) -> np.ndarray:
+    """Log-probability by point (p,) with which `draw_in_order` draws these labels."""
+    beside = (earlier(neighbours)[..., None] * favour[label[neighbours.index]]).sum(1)
+    odds = log_odds + beside
+    return odds[np.arange(len(label)), label] - logsumexp(odds, 1)
+
+
+def earlier(neighbours: Neighbours) -> np.ndarray:
+    """`neighbours.weight` (p, k) of points that come before; 0 of others."""
+    own = np.arange(len(neighbours.index))[:, None]
+    return np.where(neighbours.index < own, neighbours.weight, 0)

@@ -13,11 +13,23 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.posterior.problem import ALBEDO_MAX
+from pipeline.posterior.split_gibbs.coherence import (
+    ALONE,
+    FAVOUR,
+    OFFSETS,
+    draw_in_order,
+    log_field,
+    log_in_order,
+)
 from pipeline.posterior.split_gibbs.likelihood import seen_by
 from pipeline.posterior.split_gibbs.lobes import METALLIC, metallic_step
+from pipeline.posterior.split_gibbs.material_prior import log_alone
+from pipeline.posterior.split_gibbs.metropolis import accepted
 from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 
+# rows of offsets (`coherence.OFFSETS`)
+ROUGHNESS, KIND = 0, 1
 # of all jumps: those to the other kind, and those to any other roughness
 TO_OTHER_KIND, TO_ANY_ROUGHNESS = 0.5, 0.8
 # log colours are Student's t about the guess: degrees of freedom; width, and what is added to it
@@ -25,6 +37,52 @@ TO_OTHER_KIND, TO_ANY_ROUGHNESS = 0.5, 0.8
 FREEDOM, WIDTH, OF_BLACK = 3.0, 0.1, 0.005
 # a guess is no darker
 DARKEST = 0.01
+
+
+def label_odds(
+    model: RowModel, seen: np.ndarray, materials: RegionMaterials, offsets: np.ndarray, row: int
+) -> np.ndarray:
+    """Log odds (p, k) of every label of one row of `coherence.OFFSETS` for a point by itself, given
+    its rows and the offsets' other row.
+    """
+    columns = []
+    for label in OFFSETS[row]:
+        changed = offsets.copy()
+        changed[row] = label
+        U, W = seen_by(model.data, seen, materials, changed)
+        columns.append(model.point_values(U, W, materials))
+    return np.stack(columns, 1) + ALONE[row]
+
+
+def jump_kinds(
+    model: RowModel,
+    seen: np.ndarray,
+    materials: RegionMaterials,
+    offsets: np.ndarray,
+    rng: np.random.Generator,
+) -> tuple[RegionMaterials, np.ndarray]:
+    """A jump of every region together with which of its points differ in kind, accepted or not:
+    materials and offsets (2, p).
+
+    Points that lie off their region hold it where it is: a metal badge on a plastic body would have
+    to be plastic before the body can. So with a region's new material its points' labels are drawn
+    anew, one after the other, and the densities of both draws count.
+    """
+    data = model.data
+    new, back = propose_jump(model, seen, materials, offsets, rng)
+    odds, odds_new = (label_odds(model, seen, m, offsets, KIND) for m in (materials, new))
+    label, favour, field = offsets[KIND], FAVOUR[KIND], data.neighbours
+    label_new = draw_in_order(field, odds_new, favour, rng)
+
+    now, then = (
+        log_field(field, o, favour, a) - log_in_order(field, o, favour, a)
+        for o, a in ((odds, label), (odds_new, label_new))
+    )
+    gain = np.bincount(data.region, then - now, len(materials)) + back
+    own, own_new = (log_alone(m, data.lobes) for m in (materials, new))
+    yes = accepted(materials, new, gain + own_new - own, rng)
+    labels = np.where(yes[data.region], label_new, label)
+    return new.where(yes, materials), np.stack([offsets[ROUGHNESS], labels])
 
 
 def propose_jump(

@@ -14,17 +14,16 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from pipeline.posterior.split_gibbs.coherence import ALONE, FAVOUR, OFFSETS, draw_labels
-from pipeline.posterior.split_gibbs.kind_moves import propose_jump
+from pipeline.posterior.split_gibbs.coherence import FAVOUR, OFFSETS, draw_labels
+from pipeline.posterior.split_gibbs.kind_moves import jump_kinds, label_odds
 from pipeline.posterior.split_gibbs.light_codes import Decoder
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, seen_by
 from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step
 from pipeline.posterior.split_gibbs.material_prior import (
-    joint_parts,
-    log_joint_of,
-    log_own_prior,
+    log_alone,
     log_prior,
 )
+from pipeline.posterior.split_gibbs.metropolis import accepted
 from pipeline.posterior.split_gibbs.noise import draw_noise
 from pipeline.posterior.split_gibbs.row_model import RowModel
 from pipeline.posterior.split_gibbs.state import Kernel, Noise, Randomness, RegionMaterials, State
@@ -34,8 +33,8 @@ SCALE_PRIOR = 1.5
 GAUGE_STEPS = 60
 # sweeps over the points' labels in a draw of their offsets
 LABEL_SWEEPS = 3
-# of the steps of the regions' materials: one in so many is a jump to another kind or roughness
-JUMP_EVERY = 3
+# jumps of every region per draw of the materials
+JUMPS = 12
 # acceptance that step sizes adapt towards, how fast, and their bounds
 ACCEPTANCE, ADAPTATION, STEP_BOUNDS = 0.3, 0.05, (0.003, 0.5)
 
@@ -96,10 +95,7 @@ def region_density(
     """
     data = model.data
     points = model.point_values(*seen_by(data, seen, materials, offsets), materials)
-    likelihood = np.bincount(data.region, points, len(materials))
-    impossible = materials.metallic > data.lobes.most_metallic[materials.roughness]
-    own = log_own_prior(materials, data.lobes.roughness)
-    return np.where(impossible, -np.inf, likelihood + own)
+    return np.bincount(data.region, points, len(materials)) + log_alone(materials, data.lobes)
 
 
 def draw_regions(
@@ -113,48 +109,22 @@ def draw_regions(
     proposal: Proposal = propose_all,
 ) -> tuple[RegionMaterials, np.ndarray, np.ndarray]:
     """`steps` Metropolis-Hastings steps of every region, given what every lobe sees (steps, 4, n,
-    3) of the light; with `propose_all`, some of them jumps.
+    3) of the light.
 
     step (R,): step sizes. Returns materials, adapted step sizes, and the share of accepted
     proposals (R,).
     """
     now = region_density(model, seen, materials, offsets)
-    walks, taken = 0, np.zeros(len(materials))
-    for k in range(steps):
-        jumps = proposal is propose_all and k % JUMP_EVERY == JUMP_EVERY - 1
-        if jumps:
-            new, back = propose_jump(model, seen, materials, offsets, rng)
-        else:
-            new, back = proposal(materials, len(seen), rng, step), np.zeros(len(materials))
-
+    taken = np.zeros(len(materials))
+    for _ in range(steps):
+        new = proposal(materials, len(seen), rng, step)
         then = region_density(model, seen, new, offsets)
-        yes = accepted(materials, new, then - now + back, rng)
+        yes = accepted(materials, new, then - now, rng)
         materials = new.where(yes, materials)
         now = np.where(yes, then, now)
-        if not jumps:
-            step = np.clip(step * np.exp(ADAPTATION * (yes - ACCEPTANCE)), *STEP_BOUNDS)
-            walks, taken = walks + 1, taken + yes
-    return materials, step, taken / max(walks, 1)
-
-
-def accepted(
-    materials: RegionMaterials, new: RegionMaterials, gain: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
-    """Which regions take their new materials (R,), one after the other; gain (R,): what speaks for
-    it beside the prior that joins the regions.
-    """
-    regions = len(gain)
-    yes = np.zeros(regions, bool)
-    old = joint_parts(materials.color, materials.metallic)
-    change = joint_parts(new.color, new.metallic) - old
-    total = old.sum(0)
-    now = log_joint_of(total, regions)
-    for r, threshold in enumerate(np.log(rng.random(regions))):
-        then = log_joint_of(total + change[r], regions)
-        yes[r] = threshold < gain[r] + then - now
-        if yes[r]:
-            total, now = total + change[r], then
-    return yes
+        step = np.clip(step * np.exp(ADAPTATION * (yes - ACCEPTANCE)), *STEP_BOUNDS)
+        taken += yes
+    return materials, step, taken / max(steps, 1)
 
 
 def draw_offsets(
@@ -171,11 +141,7 @@ def draw_offsets(
     offsets = offsets.copy()
     for row, labels in enumerate(OFFSETS):
         now = np.searchsorted(labels, offsets[row])
-        columns = []
-        for label in labels:
-            offsets[row] = label
-            columns.append(model.point_values(*seen_by(data, seen, materials, offsets), materials))
-        odds = np.stack(columns, 1) + ALONE[row]
+        odds = label_odds(model, seen, materials, offsets, row)
         drawn = draw_labels(data.neighbours, odds, FAVOUR[row], now, LABEL_SWEEPS, rng)
         offsets[row] = labels[drawn]
     return offsets
@@ -304,18 +270,14 @@ def material_kernel(
         model = rows.model
         seen = mixer.data.lobes.apply(light, rows.nodes(light))
 
+        materials, offsets = state.materials, state.offsets
+        whole = proposal is propose_all
+        for _ in range(JUMPS * whole):
+            materials, offsets = jump_kinds(model, seen, materials, offsets, rng.numpy)
         materials, color_step, taken = draw_regions(
-            model,
-            seen,
-            state.materials,
-            state.offsets,
-            steps,
-            rng.numpy,
-            state.color_step,
-            proposal,
+            model, seen, materials, offsets, steps, rng.numpy, state.color_step, proposal
         )
-        offsets = state.offsets
-        if proposal is propose_all:
+        if whole:
             offsets = draw_offsets(model, seen, materials, offsets, rng.numpy)
 
         even, few, now = model.row_by_row(), steps // 3, state.spread_step

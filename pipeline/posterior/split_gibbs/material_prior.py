@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from pipeline.posterior.problem import ALBEDO_MAX
-from pipeline.posterior.split_gibbs.lobes import METALLIC, metallic_step
+from pipeline.posterior.split_gibbs.lobes import METALLIC, LobeTable, metallic_step
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 
 # how often a surface is of each of lobes.METALLIC
@@ -111,6 +111,12 @@ def log_own_prior(materials: RegionMaterials, roughness: tuple[float, ...]) -> n
     out = out - 0.5 * materials.metallic * darker**2
     impossible = (materials.color >= ALBEDO_MAX).any(1) | (materials.spread > SPREAD_MAX)
     return np.where(impossible, -np.inf, out)
+
+
+def log_alone(materials: RegionMaterials, lobes: LobeTable) -> np.ndarray:
+    """`log_own_prior` (R,), -inf where a region is more metallic than its roughness can be."""
+    own = log_own_prior(materials, lobes.roughness)
+    return np.where(materials.metallic > lobes.most_metallic[materials.roughness], -np.inf, own)
 
 
 def log_prior(materials: RegionMaterials, roughness: tuple[float, ...]) -> float:

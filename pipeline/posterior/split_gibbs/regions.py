@@ -15,7 +15,9 @@ from scipy.cluster.vq import kmeans2
 BRIGHTNESS = 0.35  # weight of log brightness against log chromaticity
 EXPLAINED = 0.85  # share of the spread at which no more groups are added, unless told
 LARGEST = 6
-CALM = 128  # of a map's side: distances to the groups are averaged over as much
+# of a map's side: texels are averaged with others as near, and within as much of `features`; so
+# many times
+CALM, ALIKE, FILTERED = 128, 0.3, 2
 
 
 def features(rgb: np.ndarray) -> np.ndarray:
@@ -43,11 +45,14 @@ def group(
 
 
 def texel_regions(base_color: np.ndarray, centers: np.ndarray, size: int) -> np.ndarray:
-    """Region of every texel (size, size) by a map of base colour: the nearest centre's, distances
-    averaged over neighbours and lone texels voted down, for a map's noise is no material.
+    """Region of every texel (size, size) by a map of base colour: the nearest centre's, after a
+    bilateral filter (Tomasi and Manduchi 1998), for a map's noise is no material; lone texels are
+    voted down.
     """
     colour = cv2.resize(base_color, (size, size), interpolation=cv2.INTER_AREA)
-    far = ((features(colour)[:, :, None] - centers) ** 2).sum(-1)
-    far = cv2.GaussianBlur(far, (0, 0), max(size / CALM, 0.3)).reshape(far.shape)
-    label = far.argmin(-1).astype(np.uint8)
+    calm = features(colour).astype(np.float32)
+    reach = max(size / CALM, 0.5)
+    for _ in range(FILTERED):
+        calm = cv2.bilateralFilter(calm, -1, ALIKE, reach)
+    label = ((calm[:, :, None] - centers) ** 2).sum(-1).argmin(-1).astype(np.uint8)
     return cv2.medianBlur(label, 5) if size >= 32 else label
