@@ -196,16 +196,21 @@ class Search:
         return [self.piece(r, materials.of([r]), at) for r in range(len(self.parts))]
 
     def draw_material(
-        self, group: list[int], pieces: list[Piece], at: Linear, rng: np.random.Generator
+        self,
+        group: list[int],
+        kinds: tuple[float, ...],
+        pieces: list[Piece],
+        at: Linear,
+        rng: np.random.Generator,
     ) -> tuple[RegionMaterials, torch.Tensor]:
-        """One roughness and metallic for all regions of `group`, or what they have, by evidence:
-        materials of all regions, and the light's step that goes with it (K,).
+        """One roughness and a metallic of `kinds` for all regions of `group`, or what they have, by
+        evidence: materials of all regions, and the light's step that goes with it (K,).
         """
         lobes = self.parts[0].lobes
         choices = [
             (step, m)
             for step in range(0, len(lobes.roughness), BETWEEN)
-            for m in CANDIDATES
+            for m in kinds
             if m <= lobes.most_metallic[step]
         ]
 
@@ -235,14 +240,17 @@ class Search:
     def sweep(
         self,
         order: list[list[int]],
+        kinds: tuple[float, ...],
         materials: RegionMaterials,
         c: torch.Tensor,
         rng: np.random.Generator,
     ) -> tuple[RegionMaterials, torch.Tensor]:
-        """Materials and coefficients (K,) after a draw for every group of `order`."""
+        """Materials and coefficients (K,) after a draw for every group of `order`, of a metallic in
+        `kinds`.
+        """
         pieces, at = self.settled(materials, self.linear(c))
         for group in order:
-            materials, step = self.draw_material(group, pieces, at, rng)
+            materials, step = self.draw_material(group, kinds, pieces, at, rng)
             pieces, at = self.stepped(materials, at, step)
         return joined(pieces), at.c
 
@@ -270,23 +278,24 @@ class Search:
         every one is too dark, and materials that spread highlights would explain them. One from the
         dielectric that has the most evidence for all regions, one from the metal, each with a light
         of its own. Moves of one material, given the light of others, end at peaks hundreds of nats
-        apart, and which is the true one a light of 16 rows cannot always say.
+        apart, and which is the true one a light of 16 rows cannot say: it is too smooth to show a
+        bright lamp, and so would have every gloss a metal. So the last two stay of their kind here.
         """
         regions = len(self.parts)
         flat = self.linear(torch.zeros(self.unknowns.size))
-        starts = [(materials, flat.c, FEW)]
+        starts = [(materials, flat.c, FEW, CANDIDATES)]
         for metallic in CANDIDATES:
             tried = [self.alone(whole, flat) for whole in self.uniform(materials, metallic)]
             if tried:
                 _, best, c = max(tried, key=lambda start: start[0])
-                starts.append((best, c, 1.0))
+                starts.append((best, c, 1.0, (metallic,)))
 
         found = []
-        for now, c, first_weight in starts:
+        for now, c, first_weight, kinds in starts:
             for sweep in range(sweeps):
                 search = self.counting_saturated(1.0 if sweep else first_weight)
                 order = [list(range(regions))] + [[r] for r in rng.permutation(regions)]
-                now, c = search.sweep(order, now, c, rng)
+                now, c = search.sweep(order, kinds, now, c, rng)
             found.append((now, self.unknowns.code(c[None])))
         return found
 

@@ -43,6 +43,7 @@ def test_search_finds_the_material(rows, monkeypatch):
         np.full((2, 3), 0.3), np.full(2, 0.3), np.array([2, 2]) * BETWEEN, np.array([0.2, 0.2])
     )
     search = Search.over(data, prior, 0.0, 40, rng)
-    for found, _ in search.run(start, 3, rng):  # from every start
-        assert found.metallic.tolist() == [1, 0]
-        assert np.abs(found.roughness - truth.roughness).max() <= BETWEEN
+    free, dielectric, metal = (found for found, _ in search.run(start, 3, rng))
+    assert free.metallic.tolist() == [1, 0]
+    assert not dielectric.metallic.any() and metal.metallic.all()
+    assert np.abs(free.roughness - truth.roughness).max() <= BETWEEN
