@@ -59,9 +59,10 @@ def jump_kinds(
     seen: np.ndarray,
     materials: RegionMaterials,
     offsets: np.ndarray,
+    jumps: int,
     rng: np.random.Generator,
 ) -> tuple[RegionMaterials, np.ndarray]:
-    """A jump of every region together with which of its points differ in kind, accepted or not:
+    """`jumps` of every region together with which of its points differ in kind, accepted or not:
     materials and offsets (2, p).
 
     Points that lie off their region hold it where it is: a metal badge on a plastic body would have
@@ -69,20 +70,27 @@ def jump_kinds(
     anew, one after the other, and the densities of both draws count.
     """
     data = model.data
-    new, back = propose_jump(model, seen, materials, offsets, rng)
-    odds, odds_new = (label_odds(model, seen, m, offsets, KIND) for m in (materials, new))
-    label, favour, field = offsets[KIND], FAVOUR[KIND], data.neighbours
-    label_new = draw_in_order(field, odds_new, favour, rng)
+    favour, field = FAVOUR[KIND], data.neighbours
+    label, odds = offsets[KIND], label_odds(model, seen, materials, offsets, KIND)
+    for _ in range(jumps):
+        offsets = np.stack([offsets[ROUGHNESS], label])
+        new, back = propose_jump(model, seen, materials, offsets, rng)
+        odds_new = label_odds(model, seen, new, offsets, KIND)
+        label_new = draw_in_order(field, odds_new, favour, rng)
 
-    now, then = (
-        log_field(field, o, favour, a) - log_in_order(field, o, favour, a)
-        for o, a in ((odds, label), (odds_new, label_new))
-    )
-    gain = np.bincount(data.region, then - now, len(materials)) + back
-    own, own_new = (log_alone(m, data.lobes) for m in (materials, new))
-    yes = accepted(materials, new, gain + own_new - own, rng)
-    labels = np.where(yes[data.region], label_new, label)
-    return new.where(yes, materials), np.stack([offsets[ROUGHNESS], labels])
+        now, then = (
+            log_field(field, o, favour, a) - log_in_order(field, o, favour, a)
+            for o, a in ((odds, label), (odds_new, label_new))
+        )
+        gain = np.bincount(data.region, then - now, len(materials)) + back
+        gain += log_alone(new, data.lobes) - log_alone(materials, data.lobes)
+        yes = accepted(materials, new, gain, rng)
+
+        materials = new.where(yes, materials)
+        of_points = yes[data.region]
+        label = np.where(of_points, label_new, label)
+        odds = np.where(of_points[:, None], odds_new, odds)
+    return materials, np.stack([offsets[ROUGHNESS], label])
 
 
 def propose_jump(

@@ -272,8 +272,8 @@ def material_kernel(
 
         materials, offsets = state.materials, state.offsets
         whole = proposal is propose_all
-        for _ in range(JUMPS * whole):
-            materials, offsets = jump_kinds(model, seen, materials, offsets, rng.numpy)
+        if whole:
+            materials, offsets = jump_kinds(model, seen, materials, offsets, JUMPS, rng.numpy)
         materials, color_step, taken = draw_regions(
             model, seen, materials, offsets, steps, rng.numpy, state.color_step, proposal
         )

@@ -26,9 +26,9 @@ BODY = 1.0
 
 # added to base colours before their log is taken: below it all is black
 BLACK = 0.01
-# metals darker than this fall off with this width of their log brightness: what reflects less is a
-# dielectric's highlight (a metal of base colour .04 looks like a black dielectric)
-DARKEST_METAL, FALL = 0.08, 0.15
+# metals whose brightest channel is below it fall off with this width of its log: what reflects less
+# is a dielectric's highlight (a metal of base colour .04 looks like a black dielectric)
+DARKEST_METAL, FALL = 0.07, 0.02
 
 # mean and width of log base colour, mean of channels; between kinds by metallic
 DIELECTRIC, METAL = (np.log(0.3), 0.8), (np.log(0.6), 0.35)
@@ -37,6 +37,8 @@ TINTS = np.array([[1, 0, -1], [-1, 2, -1]]) / np.sqrt([[2], [6]])
 # mean and width along them: gold and copper are the most saturated metals
 DIELECTRIC_TINT = np.array([0.15, 0.0]), np.array([0.5, 0.3])
 METAL_TINT = np.array([0.1, 0.0]), np.array([0.3, 0.1])
+# no bare metal is beyond gold, copper or zinc; dyed ones are, and fall off with this width
+METAL_TINTS, DYED = (np.array([-0.3, -0.3]), np.array([0.9, 0.3])), 0.15
 # share of the variances that all regions of an object have in common
 COMMON = 0.5
 # degrees of freedom of Student's t: black paint, dyes and tarnish are far out
@@ -97,6 +99,14 @@ def log_roughness(roughness: tuple[float, ...]) -> np.ndarray:
     return value - logsumexp(value, 1, keepdims=True)
 
 
+def unlike_metal(color: np.ndarray) -> np.ndarray:
+    """What speaks against colours (R, 3) as metals beside Student's t, (R,): too dark, or dyed."""
+    darker = np.minimum(np.log(color.max(1) / DARKEST_METAL), 0) / FALL
+    tint = np.log(color + BLACK) @ TINTS.T
+    dyed = (tint - np.clip(tint, *METAL_TINTS)) / DYED
+    return 0.5 * (darker**2 + (dyed**2).sum(1))
+
+
 def log_own_prior(materials: RegionMaterials, roughness: tuple[float, ...]) -> np.ndarray:
     """Of every region's spread of colour and of its roughness, `roughness` being the value of every
     step, with the bounds of base colours (R,); -inf where a value is impossible.
@@ -107,8 +117,7 @@ def log_own_prior(materials: RegionMaterials, roughness: tuple[float, ...]) -> n
     out = out + of_metallic[np.arange(len(materials)), materials.roughness]
     # density by log colour of what has a density by log (colour + BLACK)
     out = out + np.log(materials.color / (materials.color + BLACK)).sum(1)
-    darker = np.minimum(np.log(materials.color).mean(1) - np.log(DARKEST_METAL), 0) / FALL
-    out = out - 0.5 * materials.metallic * darker**2
+    out = out - materials.metallic * unlike_metal(materials.color)
     impossible = (materials.color >= ALBEDO_MAX).any(1) | (materials.spread > SPREAD_MAX)
     return np.where(impossible, -np.inf, out)
 

@@ -29,10 +29,8 @@ from pipeline.posterior.split_gibbs.material_prior import (
     BLACK,
     BODY,
     COMMON,
-    DARKEST_METAL,
     DIELECTRIC,
     DIELECTRIC_TINT,
-    FALL,
     KIND_SHARE,
     METAL,
     METAL_TINT,
@@ -42,6 +40,7 @@ from pipeline.posterior.split_gibbs.material_prior import (
     log_joint_prior,
     log_prior,
     log_roughness,
+    unlike_metal,
 )
 from pipeline.posterior.split_gibbs.metropolis import accepted
 from pipeline.posterior.split_gibbs.state import RegionMaterials
@@ -80,7 +79,7 @@ def between(metallic: np.ndarray, of_dielectric, of_metal) -> list:
 
 def from_the_prior(count: int, rng) -> list[RegionMaterials]:
     """Draws of two regions, directly: Student's t as a normal over a chi, kinds from shares that
-    the body draws, impossible colours and rough or dark metals thrown away.
+    the body draws, impossible colours and rough or unlikely metals thrown away.
     """
     root = np.linalg.cholesky((1 - COMMON) * np.eye(2) + COMMON)
     tried = 4 * count
@@ -99,8 +98,8 @@ def from_the_prior(count: int, rng) -> list[RegionMaterials]:
 
     possible = (color > 0).all((1, 2)) & (color.max((1, 2)) < 0.98)
     possible &= (m <= MOST_METALLIC[roughness]).all(1)
-    darker = np.minimum(np.log(np.maximum(color, 1e-9)).mean(2) - np.log(DARKEST_METAL), 0) / FALL
-    possible &= rng.random(tried) < np.exp(-0.5 * m * darker**2).prod(1)
+    against = unlike_metal(np.maximum(color, 1e-9).reshape(-1, 3)).reshape(m.shape)
+    possible &= rng.random(tried) < np.exp(-m * against).prod(1)
     kept = np.flatnonzero(possible)[:count]
     assert len(kept) == count
     return [RegionMaterials(color[k], np.full(2, 0.3), roughness[k], m[k]) for k in kept]
@@ -136,9 +135,9 @@ def test_moves_leave_the_prior_as_it_is():
 
     def moved_on(t: RegionMaterials) -> RegionMaterials:
         at = offsets
-        for _ in range(8):
-            t, at = jump_kinds(SILENT, seen, t, at, rng)
-            t, _, _ = draw_regions(SILENT, seen, t, at, 2, rng, step)
+        for _ in range(4):
+            t, at = jump_kinds(SILENT, seen, t, at, 2, rng)
+            t, _, _ = draw_regions(SILENT, seen, t, at, 4, rng, step)
         return t
 
     last = [moved_on(t) for t in first]
@@ -184,8 +183,7 @@ def test_prior_of_the_materials_is_students_t():
         body = stats.dirichlet_multinomial(BODY * KIND_SHARE, 3).logpmf(count)
         in_order = body - gammaln(4) + gammaln(count + 1).sum()
         own = log_roughness(ROUGHNESS)[step, t.roughness]
-        darker = np.minimum(np.log(t.color).mean(1) - np.log(DARKEST_METAL), 0)
-        falls = np.log(t.color / (t.color + BLACK)).sum() - (0.5 * m * (darker / FALL) ** 2).sum()
+        falls = np.log(t.color / (t.color + BLACK)).sum() - (m * unlike_metal(t.color)).sum()
         tints = tint.logpdf((log_color @ TINTS.T).ravel())
         return bright.logpdf(log_color.mean(1)) + tints + spread + in_order + own.sum() + falls
 

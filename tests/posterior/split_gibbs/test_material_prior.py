@@ -23,6 +23,7 @@ from pipeline.posterior.split_gibbs.material_prior import (
     log_joint_prior,
     log_own_prior,
     log_roughness,
+    unlike_metal,
 )
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 
@@ -78,6 +79,14 @@ def test_colours_tell_metals_from_dielectrics():
     of_metals = [odds_of_metal(c, 1) for name, c in metals.items() if "Anodized" not in name]
     assert min(of_metals) > -3 and np.median(of_metals) > 0
     assert odds_of_metal(metals["Iron"], 4) < odds_of_metal(metals["Iron"], 2) - 1.5
+
+
+def test_no_bare_metal_is_dark_or_dyed():
+    """Nothing speaks against the measured ones; much does against lemon, green paint and soot."""
+    bare = np.array([c for name, c in measured("1").items() if "Anodized" not in name])
+    assert unlike_metal(bare).max() < 0.2
+    lemon, paint, soot = [0.617, 0.366, 0.045], [0.0, 0.19, 0.02], [0.04, 0.04, 0.04]
+    assert (unlike_metal(np.array([lemon, paint, soot])) > 5).all()
 
 
 def test_shares_and_roughness_are_probabilities():
