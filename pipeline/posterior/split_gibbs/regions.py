@@ -50,9 +50,9 @@ def texel_regions(base_color: np.ndarray, centers: np.ndarray, size: int) -> np.
     voted down.
     """
     colour = cv2.resize(base_color, (size, size), interpolation=cv2.INTER_AREA)
-    calm = features(colour).astype(np.float32)
+    calm: np.ndarray = features(colour).astype(np.float32)
     reach = max(size / CALM, 0.5)
     for _ in range(FILTERED):
-        calm = cv2.bilateralFilter(calm, -1, ALIKE, reach)
+        calm = np.asarray(cv2.bilateralFilter(calm, -1, ALIKE, reach))
     label = ((calm[:, :, None] - centers) ** 2).sum(-1).argmin(-1).astype(np.uint8)
     return cv2.medianBlur(label, 5) if size >= 32 else label

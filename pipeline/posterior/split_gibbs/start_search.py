@@ -43,7 +43,7 @@ SEARCH_COMPONENTS = 200
 # weight of saturated rows where they hardly count
 FEW = 0.05
 # metallic that regions choose from, and roughness steps that whole objects do
-CANDIDATES = (0.0, 1.0)
+CANDIDATES: tuple[float, ...] = (0.0, 1.0)
 UNIFORM = [step * BETWEEN for step in (0, 2, 5)]
 # deviations of any mode that one step may move it by: log light is linear nearby only
 LONGEST = 3.0
