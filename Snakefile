@@ -244,7 +244,7 @@ rule refine:
     benchmark:
         "work/{scene}/benchmarks/refine_{sample}.tsv"
     params:
-        due=settings("refine", "refine", "render", "observe", "report"),
+        due=settings("refine", "refine", "render", "observe"),
     shell:
         command(
             "refine",

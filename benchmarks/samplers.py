@@ -15,6 +15,8 @@ workflow does. Per method:
   PSNR of held-out views inside the mask, of the draws and of their mean picture;
   base colour error: RMS over held-out views, raw and after one factor per channel;
   PSNR of held-out views under another light;
+  roughness: median |log(drawn / true)| over held-out views, and the same with its sign; metallic:
+    share of their surface that is on its right side of one half, and mean distance from the truth;
   for 3 draws or more, how often the draws' intervals hold the truth (`Truth.unknowns`).
 
 A folder whose cameras are not given, or without truth/, has seconds and held-out views only.
@@ -39,9 +41,10 @@ from pipeline.base.config import parse_scene
 from pipeline.base.errors import run_stage
 from pipeline.base.files import write_json
 from pipeline.base.images import read_exr
+from pipeline.base.progress import Bar
 from pipeline.base.runtime import set_threads
 from pipeline.posterior.load import load_problem
-from pipeline.posterior.refine import COARSE, refine
+from pipeline.posterior.refine import COARSE, refine, units
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.posterior.split_gibbs.regions import group
 from pipeline.posterior.textures import gather
@@ -57,6 +60,7 @@ RELIT = 200  # pixels per held-out view that are relit
 RELIT_SPP = 512  # paths for each
 AT_ONCE = 64  # of those paths in one pass
 HELD_OUT_SPP = 64
+METAL = 0.5  # metallic from which a surface counts as metal
 
 
 def aligned_rms(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
@@ -72,14 +76,18 @@ class Truth:
 
     def __init__(self, folder: Path, problem, mesh: Path, light_rows: int):
         self.light = resample_area(read_exr(folder / "envmap.exr"), light_rows, 2 * light_rows)
-        self.uv, self.colours = self._colours(folder, problem.observations.held_out, Tracer(mesh))
+        views = problem.observations.held_out
+        self.uv, shown = self._shown(folder, views, Tracer(mesh))
+        self.colours = shown["albedo"]
+        self.roughness = shown["roughness"]
+        self.metallic = shown["metallic"]
         other = next(
             f for f in sorted((folder / "relight").glob("*.exr")) if f.with_suffix("").is_dir()
         )
         self.other_light = read_exr(other)
         self.pixels = []
         self.relit = []
-        for view in problem.observations.held_out:
+        for view in views:
             picture = read_exr(other.with_suffix("") / f"{view.name}.exr")
             inside = cv2.erode((picture.sum(-1) > 0).astype(np.uint8), np.ones((5, 5)))
             rows, columns = np.random.default_rng(0).permutation(np.argwhere(inside))[:RELIT].T
@@ -89,20 +97,29 @@ class Truth:
         self.region = group(self.colours)[0]
 
     @staticmethod
-    def _colours(folder: Path, views, tracer: Tracer) -> tuple[np.ndarray, np.ndarray]:
-        """Texture coordinates (n, 2) and true base colours (n, 3) at every second pixel."""
-        where, values = [], []
+    def _shown(folder: Path, views, tracer: Tracer) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Texture coordinates (n, 2) and true values at every second pixel: "albedo" (n, 3),
+        "roughness" and "metallic" (n,).
+        """
+        where = []
+        values: dict[str, list[np.ndarray]] = {"albedo": [], "roughness": [], "metallic": []}
         for view in views:
-            picture = read_exr(folder / "albedo" / f"{view.name}.exr")
             rows, columns = np.mgrid[0 : view.height : 2, 0 : view.width : 2].reshape(2, -1)
             uv, _, hit = tracer.hit(*view.rays(np.stack([columns + 0.5, rows + 0.5], -1)))
-            row = (rows * len(picture) / view.height).astype(int)
-            column = (columns * picture.shape[1] / view.width).astype(int)
-            value = picture[row, column]
-            hit &= value.max(-1) > 0
+
+            pictures = {name: read_exr(folder / name / f"{view.name}.exr") for name in values}
+            albedo = pictures["albedo"]
+            row = (rows * len(albedo) / view.height).astype(int)
+            column = (columns * albedo.shape[1] / view.width).astype(int)
+            hit &= albedo[row, column].max(-1) > 0
+
             where.append(uv[hit])
-            values.append(value[hit])
-        return np.concatenate(where), np.concatenate(values)
+            for name, picture in pictures.items():
+                values[name].append(picture[row, column][hit])
+        uv = np.concatenate(where)
+        shown = {name: np.concatenate(parts) for name, parts in values.items()}
+        one = lambda grey: grey.reshape(len(uv), -1)[:, 0]  # a grey EXR may have three channels
+        return uv, shown | {name: one(shown[name]) for name in ("roughness", "metallic")}
 
     def relit_by(self, x: Explanation, renderer) -> np.ndarray:
         """Radiance of the same pixels under the other light, of `x`; twice, with independent noise
@@ -133,6 +150,21 @@ class Truth:
             "relit": relit_pixels.ravel(),
         }
 
+    def gloss_errors(self, x: Explanation) -> dict[str, float]:
+        """Of roughness and metallic, where the held-out views show the object."""
+        roughness, metallic = (
+            gather(np.ascontiguousarray(values), self.uv)[:, 0]
+            for values in (x.roughness, x.metallic)
+        )
+        ratio = np.log(roughness / np.maximum(self.roughness, 1e-3))
+        right = (metallic > METAL) == (self.metallic > METAL)
+        return {
+            "log_roughness_error": float(np.median(np.abs(ratio))),
+            "log_roughness_bias": float(np.median(ratio)),
+            "metallic_right": float(right.mean()),
+            "metallic_error": float(np.abs(metallic - self.metallic).mean()),
+        }
+
     def scores(self, x: Explanation, renderer) -> tuple[dict, dict]:
         """Errors of `x`, and its own values of the unknowns."""
         colours = gather(x.base_color, self.uv)
@@ -143,6 +175,7 @@ class Truth:
             "base_colour_rms": raw,
             "base_colour_rms_aligned": aligned,
             "relit_psnr": psnr(pixels, self.relit, again=again),
+            **self.gloss_errors(x),
         }, self.unknowns(x.light, colours, 0.5 * (pixels + again))
 
 
@@ -205,9 +238,10 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         )
         row = {"seconds": time.perf_counter() - began}
         set_threads(2)
-        final, _ = refine(
-            full, small, drawn, settings, seed, rescale=not facts.get("scale_drawn", False)
-        )
+        with Bar(f"refine {seed}", units(settings)) as bar:
+            final, _ = refine(
+                full, small, drawn, settings, seed, bar, facts.get("scale_drawn", False)
+            )
         pictures.append(
             [render_twice(full.renderer, final, view, mask, HELD_OUT_SPP) for view, _, mask in held]
         )

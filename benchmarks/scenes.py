@@ -23,6 +23,11 @@ from pipeline.run.workflow import checked_name
 ROOT = Path(__file__).resolve().parent.parent
 
 
+def machine() -> str:
+    """What rows say of the machine they were made on."""
+    return f"{platform.machine()}, {os.cpu_count()} cores"
+
+
 def snakemake(folder: Path, targets: list[str], settings: list[str]) -> None:
     """Make `targets` of the scene in `folder`, under a configuration of its own if there is none of
     its name. Raises InputError when the folder's name cannot be a scene's.
@@ -121,7 +126,7 @@ def main() -> None:
         write_json(
             args.out,
             {
-                "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+                "machine": machine(),
                 "preset": args.preset,
                 "rows": rows,
             },

@@ -129,7 +129,7 @@ def photographed(
         code=torch.zeros(3, 0),
         log_scale=0.0,
         materials=materials,
-        offsets=np.zeros((2, points), int),
+        offsets=np.zeros((3, points), int),
         noise=Noise(ERROR, np.ones(n)),
         color_step=np.zeros(1),
         spread_step=np.zeros(1),

@@ -5,12 +5,15 @@ held-out score.
 from pipeline.base.files import read_json, report_metrics, stage_folder
 from pipeline.run.stage import PROBLEM_FOLDERS, Stage, stage
 
+SCORE_UNITS = 5  # progress: scoring a view takes as long as so many of Adam's steps
+
 
 def work(s: Stage) -> None:
+    from pipeline.base.progress import Bar
     from pipeline.base.runtime import set_threads
     from pipeline.posterior.load import load_problem
-    from pipeline.posterior.refine import COARSE, refine
-    from pipeline.render.metrics import score_held_out
+    from pipeline.posterior.refine import COARSE, refine, units
+    from pipeline.render.metrics import held_out_photos, score_held_out
     from pipeline.render.renderer import Explanation
 
     set_threads(s.args.threads)
@@ -20,18 +23,23 @@ def work(s: Stage) -> None:
         rows = sample.light.shape[0]
         problem = load_problem(*s.problem_folders, s.scene, settings.texture, rows)
         small = load_problem(*s.problem_folders, s.scene, min(COARSE, settings.texture), rows)
+        held_out = held_out_photos(problem, s.args.poses, s.args.mesh, s.scene.observe.erode)
         drawn = read_json(s.args.sample / "sample.json").get("scale_drawn", False)
-        refined, facts = refine(problem, small, sample, settings, s.args.index, rescale=not drawn)
-        refined.save(out)
-        scores = score_held_out(
-            problem,
-            refined,
-            s.args.poses,
-            s.args.mesh,
-            s.scene.observe.erode,
-            2 * s.scene.report.spp,
-        )
-        report_metrics(out / "refine.json", {"index": s.args.index} | facts | scores | s.costs())
+
+        index = s.args.index
+        total = units(settings) + SCORE_UNITS * len(held_out)
+        with Bar(f"refine {index}", total) as bar:
+            refined, facts = refine(problem, small, sample, settings, index, bar, drawn)
+            scores = score_held_out(
+                problem,
+                refined,
+                held_out,
+                settings.score_pixels,
+                settings.score_spp,
+                lambda: bar.step("held-out views", SCORE_UNITS),
+            )
+            refined.save(out)
+        report_metrics(out / "refine.json", {"index": index} | facts | scores | s.costs())
 
 
 if __name__ == "__main__":

@@ -126,3 +126,50 @@ def ball(tmp_path_factory) -> Path:
         folder, np.sqrt(sum(g**2 for g in np.meshgrid(axis, axis, axis, indexing="ij"))) - 0.5, axis
     )
     return folder
+
+
+def sphere(subdivisions: int):
+    """An even triangle mesh of the sphere of radius 0.5."""
+    from pipeline.base.runtime import import_open3d
+    from pipeline.geometry.mesh_io import Mesh, unit
+
+    ico = import_open3d().geometry.TriangleMesh.create_icosahedron()
+    ico = ico.subdivide_midpoint(subdivisions)
+    normals = unit(np.asarray(ico.vertices))
+    return Mesh(0.5 * normals, np.asarray(ico.triangles).astype(np.int64), normals)
+
+
+def bumpy_radius(direction: np.ndarray) -> np.ndarray:
+    """Radius (n,) of a bumpy ball in unit directions (n, 3)."""
+    return 0.5 + 0.008 * np.sin(14 * direction).sum(1)
+
+
+def bumpy_normals(direction: np.ndarray) -> np.ndarray:
+    """Its unit normals (n, 3): the gradient of |x| - radius(x / |x|), by central differences."""
+    from pipeline.geometry.mesh_io import unit
+
+    level = lambda x: np.linalg.norm(x, axis=1) - bumpy_radius(unit(x))
+    where = direction * bumpy_radius(direction)[:, None]
+    step = 1e-5 * np.eye(3)
+    return unit(np.stack([level(where + e) - level(where - e) for e in step], 1))
+
+
+@pytest.fixture(scope="session")
+def bumpy(tmp_path_factory) -> Path:
+    """A ball with bumps of a hundredth, as folders of the mesh and atlas stages in one: dense.ply
+    with 80 thousand triangles, mesh_uv.ply with 1280 that have lost the bumps, and normal.png.
+    """
+    from pipeline.base.config import Atlas
+    from pipeline.geometry.mesh_io import Mesh, save_mesh
+    from pipeline.surface.atlas import make_atlas
+    from pipeline.surface.bake import make_normal_map
+
+    folder = tmp_path_factory.mktemp("bumpy")
+    fine = sphere(6)
+    dense = fine.normals * bumpy_radius(fine.normals)[:, None]
+    save_mesh(folder / "dense.ply", Mesh(dense, fine.faces, bumpy_normals(fine.normals)))
+    save_mesh(folder / "mesh.ply", sphere(3))
+    settings = Atlas(resolution=256, padding=2)
+    make_atlas(folder / "mesh.ply", folder, settings)
+    make_normal_map(folder, folder, settings)
+    return folder

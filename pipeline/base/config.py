@@ -32,14 +32,21 @@ class Capture(Section):
         1200, ge=64, le=8192, description="long side in pixels that later stages work at"
     )
     encoding: Literal["auto", "srgb", "linear"] = Field(
-        "auto", description="auto: EXR is linear, everything else sRGB"
+        "auto",
+        description="auto: EXR is linear, everything else as its colour profile says, or sRGB; "
+        "srgb and linear: read so, profiles ignored",
     )
     exposure: Literal["exif", "none"] = Field(
         "exif",
-        description="exif: divide by exposure time x ISO / f-number^2 relative to the median photo",
+        description="exif: divide by exposure time x ISO / f-number^2, relative to the mean in log",
     )
     clip_fraction: float = Field(
         0.985, gt=0.5, le=1, description="fraction of full scale that counts as saturated"
+    )
+    leave_out: Literal["auto", "none"] = Field(
+        "auto",
+        description="auto: doubles of a burst, and blurred photos up to a fifth of all, are left "
+        "out, unless cameras are given; none: every photo stays",
     )
 
 
@@ -55,14 +62,21 @@ class Poses(Section):
         description="auto: exhaustive up to 60 photos, then sequential with quadratic overlap",
     )
     camera: Literal["auto", "single", "per_image"] = Field(
-        "auto", description="auto: one camera if sizes and EXIF agree"
+        "auto",
+        description="auto: photos of one size (either way up) and one focal length share a camera",
     )
     min_registered: float = Field(
         0.9, gt=0, le=1, description="below this share a second, more thorough attempt is made"
     )
     match_exposure: bool = Field(
         True,
-        description="divide out brightness that matched points show beyond EXIF, if it is much",
+        description="divide out brightness and white balance that matched points show beyond EXIF, "
+        "where they are much",
+    )
+    moving_light: Literal["refuse", "accept"] = Field(
+        "refuse",
+        description="what to do when the light moves with the camera (turntable, flash), which one "
+        "distant light cannot explain: stop with the reason, or go on with a warning",
     )
     object_size: float | None = Field(
         None, gt=0, description="object's diameter in metres; none: unit-size asset"
@@ -79,6 +93,11 @@ class Masks(Section):
     method: Literal["auto", "given", "plane", "onnx"] = Field(
         "auto", description="auto: given masks or alpha, else plane; onnx needs `onnx_model`"
     )
+    parts: Literal["one", "all"] = Field(
+        "one",
+        description="plane: one: the connected thing on which the cameras' axes converge; all: "
+        "everything that stands on the ground in the middle of the scene",
+    )
     onnx_model: Path | None = Field(
         None, description="path of an installed ISNet-like network (1x3x1024x1024)"
     )
@@ -92,9 +111,26 @@ class Mesh(Section):
     )
     grid: int = Field(256, ge=48, le=512, description="cells along the longest side of the volume")
     faces: int = Field(30000, ge=200, le=500000, description="triangles after decimation")
-    stereo_scale: float = Field(0.75, gt=0.05, le=1, description="image scale for stereo matching")
+    depth_pixels: int = Field(
+        3_000_000,
+        ge=50_000,
+        le=100_000_000,
+        description="object pixels over all photos that get a depth: bounds time on close-ups",
+    )
+    depth_scale: float = Field(
+        1.0, gt=0.05, le=1, description="largest image scale for depth, whatever depth_pixels is"
+    )
     min_agreement: float = Field(
-        0.25, ge=0, le=1, description="share of consistent stereo pixels below which hull alone"
+        0.25, ge=0, le=1, description="share of pixels with agreeing depth below which hull alone"
+    )
+    refine_steps: int = Field(
+        5,
+        ge=0,
+        le=100,
+        description="photometric refinement: steps at half and at full scale; 0: none",
+    )
+    plate: float = Field(
+        0.5, gt=0, le=100, description="photometric refinement: stiffness against the photos' noise"
     )
 
 
@@ -103,6 +139,9 @@ class Atlas(Section):
         1024, ge=16, le=8192, description="texels along a side that padding is made for"
     )
     padding: int = Field(4, ge=0, le=32, description="texels between charts")
+    normal_map: bool = Field(
+        True, description="bake what decimation takes from the surface into a normal map"
+    )
 
 
 class Observe(Section):
@@ -211,10 +250,25 @@ class Sample(Section):
 class Refine(Section):
     """Materials (and one light scale) at full texture size with the light held, Eq. 17 of DPI."""
 
-    steps: int = Field(100, ge=0, le=100000)
-    pixels: int = Field(8192, ge=16)
+    steps: int = Field(
+        40, ge=0, le=100000, description="Adam steps of roughness and metallic: 100 gain 0.06 dB"
+    )
+    pixels: int = Field(4096, ge=16, description="pixels per step, over all views")
     spp: int = Field(4, ge=2, le=1024, multiple_of=2)
-    learning_rate: float = Field(0.01, gt=0, le=1)
+    learning_rate: float = Field(0.02, gt=0, le=1)
+    shading_pixels: int = Field(
+        200_000,
+        ge=256,
+        description="pixels that are path traced for the base colour; the others' shading is "
+        "interpolated: four times as many gain 0.04 dB",
+    )
+    score_pixels: int = Field(
+        24_000,
+        ge=64,
+        description="random pixels of all held-out views together that are scored, with the "
+        "standard error that comes from that",
+    )
+    score_spp: int = Field(64, ge=2, le=4096, multiple_of=2, description="paths per scored pixel")
     texture: int = Field(1024, ge=16, le=8192, description="side of the exported textures")
 
 
@@ -222,7 +276,7 @@ class Report(Section):
     relight_size: int = Field(
         320, ge=32, le=2048, description="half the width in pixels of the report's renders"
     )
-    spp: int = Field(128, ge=2, le=4096, multiple_of=2)
+    spp: int = Field(48, ge=2, le=4096, multiple_of=2, description="paths per pixel shown")
 
 
 class Scene(Section):

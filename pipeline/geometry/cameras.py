@@ -35,6 +35,7 @@ class View:
     world_to_camera: np.ndarray
     clip_level: float = 1.0  # linear value at and above which a channel is saturated
     split: str = "fit"  # "fit", or "test" for a view never used for fitting
+    saturated: str | None = None  # picture of its saturated pixels; none: by `clip_level`
 
     @property
     def K(self) -> np.ndarray:

@@ -12,6 +12,8 @@ import numpy as np
 from pipeline.geometry.cameras import Rig
 from pipeline.geometry.voxels import Grid, sample, silhouette
 
+LEAST_AGREEMENT = 0.6  # IoU with the hull's silhouette below which a mask does not carve
+
 
 def vote(
     rig: Rig, masks: dict, grid: Grid, names: Container[str] | None = None
@@ -32,10 +34,14 @@ def vote(
 
 
 def hull_points(
-    rig: Rig, masks: dict, longest: int = 72, tolerance: float = 0.12
+    rig: Rig,
+    masks: dict,
+    longest: int = 72,
+    tolerance: float = 0.12,
+    given: Container[str] = (),
 ) -> tuple[np.ndarray, float]:
-    """Cell centres (n, 3) inside at least 1 - tolerance of the masks that see them, and the cell
-    size.
+    """Cell centres (n, 3) inside at least 1 - tolerance of the masks that see them and all masks of
+    the views named in `given`, and the cell size.
 
     Two passes: over the scene's sphere, then over what the first pass found.
     """
@@ -45,7 +51,9 @@ def hull_points(
         grid = Grid.over(low, high, longest)
         inside, seen = vote(rig, masks, grid)
         often_seen = seen >= max(2, 0.5 * len(rig.views))
-        kept = grid.centers()[(inside >= (1 - tolerance) * seen) & often_seen]
+        solid = (inside >= (1 - tolerance) * seen) & often_seen
+        inside, seen = vote(rig, masks, grid, given)
+        kept = grid.centers()[solid & (inside == seen)]
         if not len(kept):
             return kept, grid.cell
 
@@ -68,5 +76,5 @@ def agreement(rig: Rig, masks: dict) -> dict[str, dict]:
 
         union = (small | hull).sum()
         iou = float((small & hull).sum() / union) if union else 0.0
-        out[v.name] = {"confidence": iou, "carve": bool(iou >= 0.6)}
+        out[v.name] = {"confidence": iou, "carve": bool(iou >= LEAST_AGREEMENT)}
     return out

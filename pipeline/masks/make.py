@@ -1,12 +1,14 @@
 """Which pixels show the object.
 
 MASKERS: name of a method -> function(poses folder, rig, settings, threads) -> (photo name -> mask
-(h, w) bool, facts). The user's masks or alpha win. Without them it is `plane`, which needs no
-download, or `onnx` where the user asks for a network of their own.
+(h, w) bool, facts). The user's masks or alpha win where all photos have them. Otherwise it is
+`plane`, which needs no download and takes masks of some photos as hard evidence for the others, or
+`onnx` where the user asks for a network of their own.
 """
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import cv2
@@ -17,10 +19,16 @@ from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
 from pipeline.base.images import in_rows, read_exr, read_png, to_srgb8, write_png
 from pipeline.geometry.cameras import Rig, load_cameras
-from pipeline.masks.agreement import agreement
+from pipeline.masks.agreement import LEAST_AGREEMENT, agreement
+from pipeline.masks.automatic import plane_masks
 from pipeline.masks.network import network_masks
-from pipeline.masks.plane import plane_masks
 
+USUAL_AGREEMENT = 0.85  # mean agreement below which automatic masks are doubtful
+AXES_MISS = 0.25  # radii by which the cameras' axes may miss the object without a word
+LOOK = (
+    "look at masks/overlay.jpg; one corrected mask in the scene's folder masks/ mends the others "
+    "too"
+)
 CURE = (
     "put masks (white = object, same names and sizes as the photos) into the scene's folder masks/"
 )
@@ -38,17 +46,18 @@ def given_masks(poses: Path, rig: Rig, settings: Masks, threads: int) -> tuple[d
         )
 
     masks = {v.name: read_png(folder / f"{v.name}.png") > 127 for v in rig.views}
-    return masks, {"why": "masks or alpha came with the photos"}
+    return masks, {"why": "masks or alpha came with the photos", "given": sorted(masks)}
 
 
 MASKERS = {"given": given_masks, "plane": plane_masks, "onnx": network_masks}
 
 
-def choose(poses: Path, settings: Masks) -> str:
+def choose(poses: Path, rig: Rig, settings: Masks) -> str:
     """The method's name in MASKERS."""
     if settings.method != "auto":
         return settings.method
-    return "given" if (poses / "masks").is_dir() else "plane"
+    every = all((poses / "masks" / f"{v.name}.png").exists() for v in rig.views)
+    return "given" if every else "plane"
 
 
 def overlay(
@@ -67,8 +76,8 @@ def overlay(
     return in_rows(tiles, columns)
 
 
-def check(masks: dict, confidence: dict, method: str) -> list[str]:
-    """Warnings; an InputError when the masks cannot be of use."""
+def check(masks: dict, method: str) -> None:
+    """Raises InputError when the masks cannot be of use."""
     area = {name: float(m.mean()) for name, m in masks.items()}
     black = [name for name, a in area.items() if a == 0]
     if method == "given" and black:
@@ -86,22 +95,78 @@ def check(masks: dict, confidence: dict, method: str) -> list[str]:
             CURE,
         )
 
-    unsure = [name for name, c in confidence.items() if not c["carve"]]
-    if not unsure:
-        return []
-    return [
-        f"{len(unsure)} masks do not agree with the others and will not carve: "
-        f"{', '.join(unsure[:8])}"
-    ]
+
+def said_of_agreement(confidence: dict, method: str) -> list[str]:
+    """Warnings of masks that contradict each other; confidence: of `agreement`, without the views
+    in which something hides the object.
+    """
+    out = []
+    share = {name: c["confidence"] for name, c in confidence.items()}
+    unsure = [name for name, c in share.items() if c < LEAST_AGREEMENT]
+    if unsure:
+        out.append(
+            f"masks that do not agree with the others and will not carve: {len(unsure)} of "
+            f"{len(share)} ({', '.join(unsure[:8])})"
+        )
+
+    mean = float(np.mean(list(share.values()))) if share else 1.0
+    if method != "given" and mean < USUAL_AGREEMENT:
+        out.append(
+            f"the masks of the photos agree with each other by {100 * mean:.0f} % only (above "
+            f"{100 * USUAL_AGREEMENT:.0f} % is usual): {LOOK}"
+        )
+    return out
+
+
+def said_of_things(facts: dict) -> list[str]:
+    """Warnings of what was left out and of cameras that look elsewhere; facts: of a masker."""
+    out = []
+    others = facts.get("others", [])
+    if others:
+        count = (
+            "one other thing stands" if len(others) == 1 else f"{len(others)} other things stand"
+        )
+        where = ", ".join(
+            f"{100 * o['size']:.0f} % as long as the object at {o['distance']:.1f} of its lengths"
+            for o in others[:4]
+        )
+        out.append(
+            f"{count} beside the object, left out ({where}): the object is what the middles of the "
+            "photos show; set masks.parts: all if the rest belongs to it"
+        )
+
+    hidden_in = facts.get("hidden_in", [])
+    if hidden_in:
+        out.append(
+            "photos in which another thing stands before the object, whose masks will not carve: "
+            f"{len(hidden_in)} ({', '.join(hidden_in[:8])})"
+        )
+
+    miss = facts.get("axes_miss_by", 0.0)
+    if miss > AXES_MISS:
+        out.append(
+            "the photos' middles do not show what was taken for the object (they miss it by "
+            f"{100 * miss:.0f} % of its radius in the median): {LOOK}"
+        )
+    return out
 
 
 def make_masks(poses: Path, out: Path, settings: Masks, threads: int) -> dict:
     """Write masks/<name>.png, confidence.json and overlay.jpg into `out`; returns metrics."""
     rig = load_cameras(poses / "cameras.json")
-    method = choose(poses, settings)
+    method = choose(poses, rig, settings)
     masks, facts = MASKERS[method](poses, rig, settings, threads)
+
     confidence = agreement(rig, masks)
-    warnings = check(masks, confidence, method)
+    hidden_in = facts.get("hidden_in", [])
+    for name in hidden_in:
+        confidence[name]["carve"] = False
+
+    whole = {name: c for name, c in confidence.items() if name not in hidden_in}
+    check(masks, method)
+    warnings = said_of_agreement(whole, method) + said_of_things(facts)
+    for text in warnings:
+        print(f"warning: {text}", file=sys.stderr)
 
     (out / "masks").mkdir()
     for v in rig.views:
@@ -111,6 +176,7 @@ def make_masks(poses: Path, out: Path, settings: Masks, threads: int) -> dict:
 
     return {
         "method": method,
+        "given": [],
         "area_share": float(np.mean([m.mean() for m in masks.values()])),
         "warnings": warnings,
         "mean_confidence": float(np.mean([c["confidence"] for c in confidence.values()])),

@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP
-from pipeline.photos.capture import path_in_scene, photo_name
+from pipeline.photos.scene_files import path_in_scene, photo_name
 
 if TYPE_CHECKING:
     import pycolmap
@@ -36,6 +36,19 @@ class Lens:
     cx: float
     cy: float
     distortion: tuple = (0.0, 0.0, 0.0, 0.0)
+
+    def turned_right(self) -> Lens:
+        """The lens of the same photo turned by a quarter clockwise."""
+        k1, k2, p1, p2 = self.distortion
+        return Lens(
+            self.height,
+            self.width,
+            self.fy,
+            self.fx,
+            self.height - self.cy,
+            self.cx,
+            (k1, k2, p2, -p1),
+        )
 
     def at(self, width: int, height: int) -> Lens:
         """The same lens for a resized photo."""
@@ -118,6 +131,15 @@ def read_transforms(
         lens = _transforms_lens(data, frame, sizes[name], file)
         out[name] = (lens, np.linalg.inv(Y_FROM_Z_UP @ matrix @ OPENCV_FROM_OPENGL))
     return out
+
+
+# Camera axes of a photo (x right, y down) after it was turned by a quarter clockwise
+TURNED_RIGHT = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+
+
+def turned_right(lens: Lens, pose: np.ndarray) -> tuple[Lens, np.ndarray]:
+    """Lens and world-to-camera (4, 4) of a photo after it was turned by a quarter clockwise."""
+    return lens.turned_right(), TURNED_RIGHT @ pose
 
 
 # COLMAP camera model -> places of fx, fy, cx, cy and of the distortion among its parameters

@@ -19,13 +19,20 @@ from scipy.spatial.transform import Rotation
 from pipeline.base.config import Poses
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json
-from pipeline.base.images import read_exr, write_exr, write_png
+from pipeline.base.images import read_exr, read_png, write_exr, write_png
 from pipeline.base.progress import progress
 from pipeline.geometry.cameras import Y_FROM_Z_UP, Rig, View, save_cameras
-from pipeline.photos.capture import camera_file
-from pipeline.photos.given_cameras import Lens, check_shape, poses_of_model, read_transforms
-from pipeline.photos.photometry import match_exposure
-from pipeline.photos.sfm import HINT, reconstruct, sparse_points
+from pipeline.photos.given_cameras import (
+    Lens,
+    check_shape,
+    poses_of_model,
+    read_transforms,
+    turned_right,
+)
+from pipeline.photos.photometry import gains, match_exposure, point_brightness
+from pipeline.photos.scene_files import camera_file
+from pipeline.photos.sfm import HINT, on_its_side, reconstruct, sparse_points
+from pipeline.photos.turntable import check, light_motion
 
 if TYPE_CHECKING:
     import pycolmap
@@ -33,6 +40,7 @@ if TYPE_CHECKING:
 # unit normal n, offset of the plane n.x = offset, share of inliers
 Plane: TypeAlias = tuple[np.ndarray, float, float]
 TRIPLES = 6000  # tries for the ground plane
+TOLERANCES = 0.004, 0.01  # of the cameras' distance, for points on the ground: fine, coarse
 
 
 def positions(poses: list[np.ndarray]) -> np.ndarray:
@@ -67,21 +75,30 @@ def ground_plane(
     next to nothing below. The score is the share of inliers less twice the share of points well
     below. A general RANSAC counts inliers alone and finds a wall or a slope where the ground has
     little texture.
+
+    A fine tolerance comes first, and must leave next to nothing below: seen from afar, a slope
+    through a low object holds more points within the coarse one than the ground it stands on.
     """
     distance = np.median(np.linalg.norm(centers - middle, axis=1))
     near = xyz[np.linalg.norm(xyz - middle, axis=1) < 1.5 * distance]
     if len(near) < 50:
         return None
 
-    tolerance = 0.01 * distance
-    start = _best_of_triples(near, centers, up, tolerance, np.random.default_rng(seed))
+    for share in TOLERANCES:
+        tolerance = share * distance
+        start = _best_of_triples(near, centers, up, tolerance, np.random.default_rng(seed))
+        if start is None:
+            continue
+        n, offset = _refit(near, *start, up, tolerance)
+        inliers, below = _inliers_and_below(near, n, offset, tolerance)
+        plane = n, float(offset), inliers
+        if inliers >= 0.12 and below < 0.02:
+            return plane
+
     if start is None:
         return None
-    n, offset = _refit(near, *start, up, tolerance)
-
-    inliers, below = _inliers_and_below(near, n, offset, tolerance)
     bare = inliers >= 0.04 and inliers * len(near) >= 80 and below < 0.02
-    return (n, float(offset), inliers) if inliers >= 0.12 or bare else None
+    return plane if inliers >= 0.12 or bare else None
 
 
 def _inliers_and_below(
@@ -263,14 +280,21 @@ def similarity(
 def write_views(
     capture: Path, out: Path, photos: list[dict], lenses: list[Lens], poses: list[np.ndarray]
 ) -> list[View]:
-    """Undistort photos and masks into `out`; the views in the order of `photos`."""
+    """Undistort photos, their saturated pixels and masks into `out`; the views in the order of
+    `photos`.
+    """
     (out / "images").mkdir()
+    (out / "saturated").mkdir()
     views = []
 
     for p, lens, pose in zip(progress(photos, "undistorted photos"), lenses, poses):
         name = p["name"]
         image, pinhole = undistort(read_exr(capture / "images" / f"{name}.exr"), lens)
         write_exr(out / "images" / f"{name}.exr", image, half=True)
+
+        # A pixel mixed from saturated ones is a lower bound too.
+        saturated, _ = undistort(read_png(capture / "saturated" / f"{name}.png"), lens)
+        write_png(out / "saturated" / f"{name}.png", (saturated > 0) * np.uint8(255))
 
         if p["has_mask"]:
             mask, _ = undistort(_read_mask(capture, name), lens, cv2.INTER_NEAREST)
@@ -290,6 +314,7 @@ def write_views(
                 pose,
                 p["clip_level"],
                 p["split"],
+                f"saturated/{name}.png",
             )
         )
     return views
@@ -348,6 +373,9 @@ def _estimated(
     else:
         model, names, attempts = reconstruct(capture, photos, settings, threads)
         found = poses_of_model(model, names)
+        for p in photos:
+            if p["name"] in found and on_its_side(p, photos):  # undo `write_inputs`
+                found[p["name"]] = turned_right(*found[p["name"]])
         facts = {"source": "sfm", "attempts": attempts}
 
     facts["reprojection_error_px"] = model.compute_mean_reprojection_error()
@@ -468,6 +496,33 @@ def _given(
     return kept, lenses, poses, center, 0.5 * float(distance), points, facts
 
 
+def _photometry(
+    views: list[View],
+    out: Path,
+    points: dict,
+    sphere: tuple[np.ndarray, float],
+    scene: Path,
+    settings: Poses,
+) -> tuple[list[View], dict]:
+    """What matched points say of light that moves with the camera (facts, `warnings` among them, or
+    InputError), and of the photos' gains, which are divided out of the pictures under `out`. Views
+    and facts. sphere: the object's centre and radius.
+    """
+    brightness = point_brightness(views, out, points)
+    stops = gains(brightness)
+    green = brightness[..., 1] - stops[:, 1, None]
+    motion = light_motion(views, green, points["xyz"], *sphere)
+    accept = settings.moving_light == "accept"
+    facts: dict = {
+        "light_motion": motion.facts(),
+        "warnings": check(motion, str(scene), accept),
+    }
+    if settings.match_exposure:
+        views, matched = match_exposure(views, out, stops)
+        facts |= matched
+    return views, facts
+
+
 def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: int) -> dict:
     """Write cameras.json, images/, masks/ and points.npz into `out`; returns metrics.
 
@@ -490,9 +545,9 @@ def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: 
     with_camera = {p["name"] for p in kept}
     facts["unregistered"] = [p["name"] for p in photos if p["name"] not in with_camera]
     views = write_views(capture, out, kept, lenses, poses)
-    if settings.match_exposure:
-        views, matched = match_exposure(views, out, points)
-        facts |= matched
+    if len(points["xyz"]):
+        views, seen = _photometry(views, out, points, (center, radius), scene, settings)
+        facts |= seen
 
     np.savez_compressed(out / "points.npz", **points)
     save_cameras(out / "cameras.json", Rig(views, center, radius, facts["source"], facts))

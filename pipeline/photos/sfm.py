@@ -30,29 +30,53 @@ EXIF_IFD = 0x8769
 FOCAL_35MM = 0xA405
 
 
+def camera_of(photo: dict, settings: Poses, number: int) -> tuple:
+    """Key of the camera that took a photo: photos with equal keys share focal length and
+    distortion. A camera turned on its side is the same camera.
+    """
+    if settings.camera == "single":
+        return ()
+    if settings.camera == "per_image":
+        return (number,)
+    sides = sorted((photo["width"], photo["height"]))
+    return (*sides, photo.get("focal_35mm"), photo.get("focal_mm"), photo.get("model"))
+
+
+def on_its_side(photo: dict, photos: list[dict]) -> bool:
+    """Whether a photo is given to COLMAP turned by a quarter: portraits, where landscapes of the
+    same size are more, and the other way round. One camera in COLMAP has one picture size.
+    """
+    size = (photo["width"], photo["height"])
+    same = sum((p["width"], p["height"]) == size for p in photos)
+    turned = sum((p["height"], p["width"]) == size for p in photos)
+    return same < turned or (same == turned and size[0] < size[1])
+
+
 def write_inputs(
     capture: Path, photos: list[dict], folder: Path, settings: Poses
-) -> tuple[dict[str, str], bool]:
-    """8-bit copies for COLMAP with plain ASCII names; returns file name -> photo name, and whether
-    one camera fits all.
+) -> tuple[dict[str, str], int]:
+    """8-bit copies for COLMAP with plain ASCII names, a folder for each camera; returns file name
+    -> photo name, and how many cameras there are. Photos `on_its_side` are turned to the left.
     """
     names = {}
-    kinds = set()
+    folders: dict[tuple, str] = {}
 
     for k, p in enumerate(progress(photos, "photos for matching")):
         image = Image.fromarray(to_srgb8(read_exr(capture / "images" / f"{p['name']}.exr")))
         image.thumbnail((settings.max_size, settings.max_size), Image.Resampling.LANCZOS)
+        if on_its_side(p, photos):
+            image = image.transpose(Image.Transpose.ROTATE_90)
 
         tags = Image.Exif()
         if p.get("focal_35mm"):
             tags.get_ifd(EXIF_IFD)[FOCAL_35MM] = int(round(p["focal_35mm"]))
-        image.save(folder / f"{k:05d}.jpg", quality=97, subsampling=0, exif=tags)
+        camera = folders.setdefault(camera_of(p, settings, k), f"{len(folders):05d}")
+        (folder / camera).mkdir(exist_ok=True)
+        file = f"{camera}/{k:05d}.jpg"
+        image.save(folder / file, quality=97, subsampling=0, exif=tags)
+        names[file] = p["name"]
 
-        names[f"{k:05d}.jpg"] = p["name"]
-        kinds.add((p["width"], p["height"], p.get("focal_35mm"), p.get("focal_mm"), p.get("model")))
-
-    single = len(kinds) == 1 if settings.camera == "auto" else settings.camera == "single"
-    return names, single
+    return names, len(folders)
 
 
 def _say(step: str, tag: str) -> None:
@@ -60,9 +84,7 @@ def _say(step: str, tag: str) -> None:
     print(f"{step} ({tag})", file=sys.stderr, flush=True)
 
 
-def _extract(
-    database: Path, images: Path, settings: Poses, single: bool, thorough: bool, threads: int
-) -> None:
+def _extract(database: Path, images: Path, settings: Poses, thorough: bool, threads: int) -> None:
     """SIFT features of all photos into the database."""
     import pycolmap
 
@@ -81,7 +103,7 @@ def _extract(
         images,
         reader_options=reader,
         extraction_options=options,
-        camera_mode=pycolmap.CameraMode.SINGLE if single else pycolmap.CameraMode.PER_IMAGE,
+        camera_mode=pycolmap.CameraMode.PER_FOLDER,
     )
 
 
@@ -121,19 +143,24 @@ def _largest(
 
 
 def _attempt(
-    folder: Path, tag: str, count: int, settings: Poses, single: bool, thorough: bool, threads: int
+    folder: Path, tag: str, count: int, cameras: int, settings: Poses, threads: int
 ) -> tuple[pycolmap.Reconstruction | None, dict]:
-    """One run of extraction, matching and mapping; the model with most images, or None."""
+    """One run of extraction, matching and mapping; the model with most images, or None.
+
+    Neighbours in COLMAP's sequence are those of one camera, so more of the photos are matched with
+    all others where there are several.
+    """
     import pycolmap
 
+    thorough = tag == "thorough"
     database = folder / f"{tag}.db"
     images = folder / "images"
     _say("features", tag)
-    _extract(database, images, settings, single, thorough, threads)
+    _extract(database, images, settings, thorough, threads)
 
     _say("matching", tag)
     if settings.matching == "auto":
-        exhaustive = count <= 60 or thorough and count <= 150
+        exhaustive = count <= 60 or (thorough or cameras > 1) and count <= 150
     else:
         exhaustive = settings.matching == "exhaustive"
     _match(database, exhaustive, thorough, threads)
@@ -185,7 +212,7 @@ def reconstruct(
     with tempfile.TemporaryDirectory(prefix="heliograph-sfm-") as temporary:
         folder = Path(temporary)
         (folder / "images").mkdir()
-        names, single = write_inputs(capture, photos, folder / "images", settings)
+        names, cameras = write_inputs(capture, photos, folder / "images", settings)
 
         best = None
         attempts = []
@@ -194,10 +221,8 @@ def reconstruct(
                 model, facts = _global_attempt(folder, settings, threads)
             else:
                 (folder / tag).mkdir()
-                model, facts = _attempt(
-                    folder, tag, len(photos), settings, single, tag == "thorough", threads
-                )
-            attempts.append(facts | {"single_camera": single})
+                model, facts = _attempt(folder, tag, len(photos), cameras, settings, threads)
+            attempts.append(facts | {"cameras": cameras})
 
             if registered_images(model) > registered_images(best):
                 best = model

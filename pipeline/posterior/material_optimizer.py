@@ -11,12 +11,14 @@ from pipeline.render.renderer import Explanation, Gradient
 
 MAPS = ("base_color", "roughness", "metallic")
 SMOOTH = 80  # roughness and metallic gradients are blurred by 1 / SMOOTH of the texture's side
+Bound = float | np.ndarray  # one for the whole map, or one for every texel
 BETAS = (0.9, 0.99)  # Adam's memory of slope and squared slope, in materials and light alike
 
 
 class MaterialOptimizer:
     """Base colour, roughness and metallic as torch parameters (`values`, by name) under Adam, which
-    fit, guided sampling and refinement move (Eqs. 15, 16 and 17).
+    fit, guided sampling and refinement move (Eqs. 15, 16 and 17). `bounds`: least and greatest
+    value of each map.
     """
 
     def __init__(
@@ -27,7 +29,7 @@ class MaterialOptimizer:
     ):
         """learning_rate: one number, or one per name of MAPS."""
         self.values = {name: torch.from_numpy(getattr(explanation, name).copy()) for name in MAPS}
-        self.bounds = {
+        self.bounds: dict[str, tuple[Bound, Bound]] = {
             "base_color": (0.0, ALBEDO_MAX),
             "roughness": (roughness_min, 1.0),
             "metallic": (0.0, 1.0),
@@ -49,7 +51,8 @@ class MaterialOptimizer:
 
         self.adam.step()
         for name, value in self.values.items():
-            value.clamp_(*self.bounds[name])
+            low, high = (torch.as_tensor(bound) for bound in self.bounds[name])
+            value.clamp_(low, high)
 
     def set_learning_rate(self, learning_rate: float) -> None:
         """The same rate for all three maps."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, sparse
 
 REMAP_SIDE = 16384  # cv2.remap takes no more than 32767 values a side
 
@@ -35,6 +35,23 @@ def splat(uv: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
     return total.reshape(size, size, -1)
 
 
+def bilinear_matrix(uv: np.ndarray, size: int) -> sparse.csr_matrix:
+    """(n, size^2) matrix that takes a map's texels in row-major order to bilinear values at uv
+    (n, 2): `gather` as a matrix, `splat` its transpose. For many products with the same uv.
+    """
+    x, y = texel_position(uv, size)
+    texels, weights = [], []
+    for right, down in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        column = np.floor(x).astype(np.int32) + right
+        row = np.floor(y).astype(np.int32) + down
+        weights.append((1 - np.abs(x - column)) * (1 - np.abs(y - row)))
+        texels.append(np.clip(row, 0, size - 1) * size + np.clip(column, 0, size - 1))
+
+    four = np.arange(0, 4 * len(uv) + 1, 4)
+    parts = (np.stack(weights, 1).ravel().astype(np.float32), np.stack(texels, 1).ravel(), four)
+    return sparse.csr_matrix(parts, (len(uv), size * size))
+
+
 def gather(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Bilinear values (n, c) of a map (t, t, c) at uv (n, 2), the adjoint of `splat`."""
     count = len(uv)
@@ -57,3 +74,12 @@ def fill(image: np.ndarray, known: np.ndarray) -> np.ndarray:
         return image
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return image[tuple(nearest)]
+
+
+def seen_texels(uv: np.ndarray, size: int) -> np.ndarray:
+    """Texels (size, size) that a pixel of texture coordinates uv (n, 2) falls next to, and gaps of
+    a texel between those; padding between charts stays unseen.
+    """
+    seen = splat(uv, np.ones((len(uv), 1)), size)[..., 0] > 1e-3
+    closed = cv2.morphologyEx(seen.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    return closed.astype(bool)

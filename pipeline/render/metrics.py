@@ -4,6 +4,7 @@ compare with truth.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -26,6 +27,14 @@ class PhotosAndRenderer(Protocol):
     renderer: Renderer
 
 
+def crossed_error(picture: np.ndarray, truth: np.ndarray, again: np.ndarray) -> np.ndarray:
+    """Squared error (h, w, 3) as sRGB values in [0, 1] of a picture that was rendered twice: the
+    product of both errors, in which the noise of each drops out of the mean.
+    """
+    target = linear_to_srgb(truth)
+    return (linear_to_srgb(picture) - target) * (linear_to_srgb(again) - target)
+
+
 def psnr(
     picture: np.ndarray,
     truth: np.ndarray,
@@ -39,11 +48,7 @@ def psnr(
     multiplied then, so that the path tracer's noise drops out: at 64 paths a pixel its square would
     be a fifth of all error, and more where the light is peaked.
     """
-    target = linear_to_srgb(truth)
-    difference = linear_to_srgb(picture) - target
-    other = linear_to_srgb(picture if again is None else again) - target
-
-    error = difference * other
+    error = crossed_error(picture, truth, picture if again is None else again)
     if mask is not None:
         error = error[mask]
     return float(-10 * np.log10(max(error.mean(), 1e-10)))
@@ -124,22 +129,59 @@ def held_out_photos(
     return found
 
 
+def some_of(mask: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    """A random `share` of the pixels of `mask` (h, w), at least one, all with the same chance."""
+    inside = np.flatnonzero(mask)
+    count = min(max(round(share * len(inside)), 1), len(inside))
+    chosen = np.zeros(mask.size, bool)
+    chosen[rng.choice(inside, count, replace=False)] = True
+    return chosen.reshape(mask.shape)
+
+
+def standard_error(error: np.ndarray, of: int) -> float:
+    """Standard error in dB of the PSNR from squared errors (k, 3) of k random pixels out of `of`.
+
+    The mean's relative standard error, with the finite population's correction (Cochran 1977,
+    Sampling Techniques, eq. 2.9), times 10 / log 10.
+    """
+    per_pixel = error.mean(1)
+    count = len(per_pixel)
+    if count < 2:
+        return float("inf")
+    variance = per_pixel.var(ddof=1) / count * (1 - count / of)
+    return float(10 / np.log(10) * np.sqrt(max(variance, 0)) / max(per_pixel.mean(), 1e-10))
+
+
 def score_held_out(
     problem: PhotosAndRenderer,
     explanation: Explanation,
-    poses: Path,
-    mesh: Path,
-    erode: float,
+    held_out: list[tuple[View, np.ndarray, np.ndarray]],
+    pixels: int,
     spp: int,
+    step: Callable[[], object] = lambda: None,
 ) -> dict:
-    """PSNR of `explanation` on each of `held_out_photos`, and their mean (None without any)."""
+    """PSNR of `explanation` on each of `held_out` (`held_out_photos`) and their mean (None without
+    any), from `pixels` random pixels of all of them together; with the standard errors in dB that
+    comes from not taking them all. `step()` is called after each view.
+    """
+    total = sum(int(mask.sum()) for _, _, mask in held_out)
+    rng = np.random.default_rng(0)  # the same pixels for every sample
     scores = {}
-    for view, photo, mask in held_out_photos(problem, poses, mesh, erode):
-        picture, again = render_twice(problem.renderer, explanation, view, mask, spp)
-        scores[view.name] = psnr(picture, photo, mask, again)
+    errors = []
 
-    mean = float(np.mean(list(scores.values()))) if scores else None
-    return {"held_out_psnr": mean, "held_out": scores}
+    for view, photo, mask in held_out:
+        chosen = some_of(mask, pixels / total, rng)
+        picture, again = render_twice(problem.renderer, explanation, view, chosen, spp)
+        scores[view.name] = psnr(picture, photo, chosen, again)
+        errors.append(standard_error(crossed_error(picture, photo, again)[chosen], int(mask.sum())))
+        step()
+
+    count = len(scores)
+    return {
+        "held_out_psnr": float(np.mean(list(scores.values()))) if scores else None,
+        "held_out_standard_error": float(np.linalg.norm(errors) / count) if scores else None,
+        "held_out": scores,
+    }
 
 
 def light_psnr(light: np.ndarray, truth: np.ndarray) -> float:

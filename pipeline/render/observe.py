@@ -20,8 +20,8 @@ from pipeline.base.images import read_exr, read_png
 from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.geometry.cameras import Rig, View, load_cameras
+from pipeline.photos.saturation import saturated
 
-SATURATED = 0.98  # share of a view's clip level from which a pixel counts as saturated
 FEWEST_PIXELS = 100
 
 
@@ -85,10 +85,15 @@ def object_pixels(views: list[View], masks: Path, erode: float) -> list[np.ndarr
 
 
 def observe_view(
-    view: View, number: int, photo: np.ndarray, pixels: np.ndarray, tracer: Tracer
+    view: View,
+    number: int,
+    photo: np.ndarray,
+    clipped: np.ndarray,
+    pixels: np.ndarray,
+    tracer: Tracer,
 ) -> dict[str, np.ndarray]:
     """The table's columns for `pixels` (k, 2), row and column, of one view; without those whose ray
-    passes the mesh by.
+    passes the mesh by. photo: (h, w, 3); clipped: (h, w), where it is saturated.
     """
     rows, columns = pixels.T
     centres = np.stack([columns + 0.5, rows + 0.5], -1)
@@ -96,12 +101,11 @@ def observe_view(
 
     rows = rows[hit]
     columns = columns[hit]
-    rgb = photo[rows, columns]
     return {
         "view": np.full(len(rows), number, np.uint16),
         "pixel": np.stack([columns, rows], -1).astype(np.uint16),
-        "rgb": rgb.astype(np.float32),
-        "clipped": rgb.max(-1) >= SATURATED * view.clip_level,
+        "rgb": photo[rows, columns].astype(np.float32),
+        "clipped": clipped[rows, columns],
         "uv": uv[hit].astype(np.float32),
         "cosine": cosine[hit].astype(np.float32),
     }
@@ -127,7 +131,8 @@ def observe_views(
         count = min(len(pixels), round(settings.pixels * len(pixels) / total))
         chosen = pixels[np.sort(rng.choice(len(pixels), count, replace=False))]
         photo = read_exr(poses / view.image)
-        parts.append(observe_view(view, number, photo, chosen, tracer))
+        clipped = saturated(poses, view, photo)
+        parts.append(observe_view(view, number, photo, clipped, chosen, tracer))
         drawn += count
 
     table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

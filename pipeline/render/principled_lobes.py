@@ -61,13 +61,26 @@ class PrincipledLobes:
         """Density (lanes,) per solid angle with which `sample_highlight` draws `wo`."""
         return np.array(self.white_metal.pdf(self.context, si, wo))
 
-    def sample_highlight(self, si: Any, seed: int) -> Any:
-        """Local directions drawn from the highlight, one per lane."""
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed, dr.width(si.wi))
-        one = sampler.next_1d()
-        two = sampler.next_2d()
+    def sample_highlight(self, si: Any, square: np.ndarray) -> Any:
+        """Local directions drawn from the highlight, one per lane, by points `square` (2, lanes) of
+        the unit square.
+        """
+        # the highlight is all that a metal has: nothing is left to choose by a first number
+        one = dr.full(mi.Float, 0.5, square.shape[1])
+        two = mi.Point2f(np.ascontiguousarray(square, np.float32))
         return self.white_metal.sample(self.context, si, one, two)[0].wo
+
+
+def blurred_roughness(roughness: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Roughness of the lobe that a surface of this roughness shows whose normals spread about
+    the mean by `sigma` per axis (radians): (alpha^2 + 2 sigma^2)^(1/4), with alpha =
+    roughness^2, at most 1. Arrays that broadcast.
+
+    Facets' slopes have variance alpha^2 / 2 per axis (exact for Beckmann's distribution, close for
+    GGX near its peak), and variances of slopes add (Toksvig 2005; Han et al. 2007; Olano and Baker
+    2010, "LEAN mapping").
+    """
+    return np.minimum((roughness**4 + 2 * sigma**2) ** 0.25, 1.0)
 
 
 @lru_cache
@@ -82,7 +95,10 @@ def lobe_albedo(roughness: float) -> np.ndarray:
     si.wi = cosine_directions(ALBEDO_SAMPLES, rng)
 
     total = np.zeros(4)
-    for wo in (cosine_directions(ALBEDO_SAMPLES, rng), lobes.sample_highlight(si, 0)):
+    for wo in (
+        cosine_directions(ALBEDO_SAMPLES, rng),
+        lobes.sample_highlight(si, rng.random((2, ALBEDO_SAMPLES))),
+    ):
         density = np.array(dr.maximum(wo.z, 0)) / np.pi + lobes.highlight_density(si, wo)
         total += (np.nan_to_num(lobes(si, wo)) / np.maximum(density, 1e-6)).mean(1)
     return total

@@ -25,13 +25,13 @@ from pipeline.base.images import read_exr, write_exr
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.render.envmap import mitsuba_gradient, to_mitsuba
+from pipeline.render.shading_normals import material_keys, with_normal_map
 
-BSDF = "obj.bsdf.brdf_0."
 KEYS = {
     "light": "light.data",
-    "base_color": BSDF + "base_color.data",
-    "roughness": BSDF + "roughness.data",
-    "metallic": BSDF + "metallic.data",
+    "base_color": "obj.bsdf.brdf_0.base_color.data",
+    "roughness": "obj.bsdf.brdf_0.roughness.data",
+    "metallic": "obj.bsdf.brdf_0.metallic.data",
 }
 
 # radiance (n, 3) of n pixels -> the loss, and its derivative (n, 3) in the radiance
@@ -88,7 +88,9 @@ def _blank_texture(side: int, channels: int) -> dict:
 
 
 def _scene(mesh: Path, texture: int, light_height: int) -> Any:
-    """Mitsuba scene of a mesh with blank textures of side `texture` under a constant light."""
+    """Mitsuba scene of a mesh, with the normal map that lies beside it, and blank textures of side
+    `texture` under a constant light.
+    """
     light = np.ones((2 * light_height + 1, 2 * light_height, 3), np.float32)  # as `to_mitsuba`
     material = {
         "type": "principled",
@@ -101,7 +103,7 @@ def _scene(mesh: Path, texture: int, light_height: int) -> Any:
         "type": "ply",
         "filename": str(mesh),
         "flip_tex_coords": True,
-        "bsdf": {"type": "twosided", "b": material},
+        "bsdf": {"type": "twosided", "b": with_normal_map(material, mesh)},
     }
     return mi.load_dict(
         {
@@ -130,7 +132,8 @@ def crossed_adjoint(paths: np.ndarray, loss_and_slope: LossAndSlope) -> tuple[fl
 
 
 class Renderer:
-    """A mesh with textures of side `texture` under a light of `light_height` rows.
+    """A mesh with textures of side `texture` under a light of `light_height` rows. Where a normal
+    map lies beside the mesh (pipeline/geometry/normal_maps.py) it shades with that.
 
     max_depth counts as in Mitsuba: 2 = direct light only, 4 = up to three surface interactions.
     Raises InputError where the mesh does not exist.
@@ -146,7 +149,8 @@ class Renderer:
 
         self.scene = _scene(self.mesh, texture, light_height)
         self.params = mi.traverse(self.scene)
-        self.params.keep(list(KEYS.values()))
+        self.keys = material_keys(KEYS, self.mesh)
+        self.params.keep(list(self.keys.values()))
         self.integrator = mi.load_dict(
             {"type": "prb", "max_depth": max_depth, "rr_depth": 1000, "hide_emitters": True}
         )
@@ -166,7 +170,7 @@ class Renderer:
             leaf = mi.TensorXf(np.ascontiguousarray(array, np.float32))
             if differentiable:
                 dr.enable_grad(leaf)
-            self.params[KEYS[name]] = leaf
+            self.params[self.keys[name]] = leaf
             leaves[name] = leaf
 
         self.params.update()

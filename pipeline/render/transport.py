@@ -1,8 +1,15 @@
 """Light transport of chosen pixels as a linear operator: radiance = T(materials) light, for fixed
 geometry.
 
-Each row is one observed pixel (rows.py). The material enters through the four lobes of its BSDF
-(principled_lobes.py), so T is a mix of four matrices per roughness.
+Each row is the mean over a patch of observed pixels (rows.py). The material enters through the four
+lobes of its BSDF (principled_lobes.py), so T is a mix of four matrices per roughness.
+
+A row has RAYS rays, through random places in its patch's pixels, each with the shading normal that
+it meets: a highlight on a curved patch is as broad as the photos' mean of it. Every direction of
+light is looked at for one of the rays only, neighbouring directions for different ones, so that a
+patch costs as much as a pixel. Where the mesh's normals are in error, that part of their spread in
+a patch is taken out (`without_error`); it is an unknown of the sampler's
+(posterior/split_gibbs/normal_spread.py).
 
 Direct light: one jittered direction per cell of a lat-long grid plus directions drawn from the
 highlight, combined by the balance heuristic (Veach 1997), so that mirrors and chalk are both
@@ -10,9 +17,9 @@ resolved. Light from the object onto itself: radiosity between surface points, t
 with the albedo that the material's lobes have (Goral et al. 1984), as many bounces as the path
 tracer is given.
 
-Letters: n rows, p points, q radiosity nodes (the points first), M = h w light pixels in row-major
-order, F the lobes' light matrices; si is a Mitsuba surface interaction and wo an outgoing direction
-in its local frame.
+Letters: n rows, R rays of each, p points, q radiosity nodes (the points first), M = h w light
+pixels in row-major order, F the lobes' light matrices; si is a Mitsuba surface interaction and wo
+an outgoing direction in its local frame.
 """
 
 from __future__ import annotations
@@ -33,9 +40,13 @@ from pipeline.render.envmap import uv_from_direction
 from pipeline.render.light_grid import bilinear, grid_directions, light_weights
 from pipeline.render.observe import Observations
 from pipeline.render.principled_lobes import LOBES, PrincipledLobes
-from pipeline.render.rows import Rows
+from pipeline.render.rows import CONE, Rows
+from pipeline.render.shading_normals import shading_frames
 
-HIGHLIGHT_SAMPLES = 32  # directions per row drawn from the highlight
+RAYS = 8  # of a row that is the mean over a patch
+HIGHLIGHT_SAMPLES = 64  # directions per row drawn from the highlight
+# steps of a sequence that fills the unit square evenly: powers of the plastic number (Roberts 2018)
+EVEN_STEPS = 0.7548776662466927, 0.5698402909980532
 LANES = 1 << 18  # directions evaluated at once: bounds memory, and keeps transposes in the cache
 FINEST_GRID = 32  # rows of the direction grid where the light itself is coarser
 LIFT = 1e-4  # of the mesh's extent: how far rays start off the surface
@@ -67,12 +78,67 @@ class BlockedLight:
         ]
 
 
+@dataclass
+class Hits:
+    """Where k rays meet the surface: whether they do (k,); position, shading normal with and
+    without the normal map, and the ray's own direction, (k, 3) each.
+    """
+
+    valid: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    unmapped: np.ndarray
+    direction: np.ndarray
+
+    def where(self, chosen: np.ndarray, other: Hits) -> Hits:
+        """These where `chosen` (k,) holds, those of `other` elsewhere."""
+        column = chosen[:, None]
+        return Hits(
+            np.where(chosen, self.valid, other.valid),
+            np.where(column, self.position, other.position),
+            np.where(column, self.normal, other.normal),
+            np.where(column, self.unmapped, other.unmapped),
+            np.where(column, self.direction, other.direction),
+        )
+
+
+def meet(scene: Any, mesh_path: Path, rays: tuple[np.ndarray, np.ndarray]) -> Hits:
+    """First hits of rays, origins and directions (k, 3), on the mesh with its normal map."""
+    si = scene.ray_intersect(mitsuba_rays(*rays))
+    valid = np.array(si.is_valid()).astype(bool)
+    mapped = shading_frames(si, mesh_path)[:, 2]
+    return Hits(valid, np.array(si.p).T, mapped, np.array(si.sh_frame.n).T, rays[1])
+
+
+def even_points(count: int, seed: int) -> np.ndarray:
+    """HIGHLIGHT_SAMPLES points of the unit square for each of `count` rows (2, count x samples),
+    evenly spread and shifted at random from row to row (Cranley and Patterson 1976).
+    """
+    shift = np.random.default_rng([11, seed]).random((count, 1, 2))
+    steps = np.arange(HIGHLIGHT_SAMPLES)[:, None] * np.array(EVEN_STEPS)
+    return ((steps + shift) % 1).reshape(-1, 2).T
+
+
+def without_error(normal: np.ndarray, sigma: float) -> np.ndarray:
+    """Unit normals (n, R, 3) of each row's rays, drawn towards the row's mean so far that their
+    variance loses sigma^2 per axis, the mesh's error (radians); to the mean itself where there
+    is no more than that.
+    """
+    mean = normal.mean(1, keepdims=True)
+    mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
+    variance = ((normal - mean) ** 2).sum(-1).mean(1) / 2
+    kept = np.sqrt(np.maximum(1 - sigma**2 / np.maximum(variance, 1e-12), 0))
+    drawn = mean + (kept[:, None, None] if sigma > 0 else 1.0) * (normal - mean)
+    return drawn / np.linalg.norm(drawn, axis=-1, keepdims=True)
+
+
 class Transport:
     """T for rows of a scene. Build once per geometry; `at` gives the lobes' matrices for one
     roughness.
 
     scene: Mitsuba scene with the mesh; rows: from `choose_rows`; h: rows of the light; nodes:
-    radiosity points added where no photo looks. `seed` fixes the jitter.
+    radiosity points added where no photo looks. `seed` fixes the jitter. normal_error: deviation of
+    the mesh's normals from the object's per axis, radians.
     """
 
     def __init__(
@@ -84,34 +150,64 @@ class Transport:
         h: int,
         nodes: int,
         seed: int,
+        normal_error: float = 0.0,
     ):
         self.scene = scene
         self.rows = rows
         self.h = h
         self.rng = np.random.default_rng([7, seed])
 
-        self._meet_surface(observations)
+        self._meet_surface(mesh_path, observations, normal_error)
         self._lay_grid()
         self._place_nodes(mesh_path, nodes)
         self._look_around()
 
-    def _meet_surface(self, observations: Observations) -> None:
-        """Position (n, 3), shading frame (n, 3, 3: its rows are s, t and the normal), and local
-        direction to the camera (n, 3) of every row.
+    def _meet_surface(
+        self, mesh_path: Path, observations: Observations, normal_error: float
+    ) -> None:
+        """Of every row's rays: where they meet the surface (n, R, 3), shading frame (n, R, 3, 3:
+        its rows are s, t and the mapped normal), unmapped normal and local direction to the camera
+        (n, R, 3); and the row's position (n, 3), its central pixel's.
         """
-        origins, directions = observations.centre_rays(self.rows.observation)
-        si = self.scene.ray_intersect(mitsuba_rays(origins, directions))
-        axes = (si.sh_frame.s, si.sh_frame.t, si.sh_frame.n)
+        count = 1 if self.rows.patch is None else RAYS
+        hits = self._hits(mesh_path, observations, self.rows.rays(count, self.rng))
+        in_rows = lambda values: values.reshape(-1, count, 3)
 
-        self.position = np.array(si.p).T
-        self.frame = np.stack([np.array(axis).T for axis in axes], 1)
-        self.incident = np.einsum("nij,nj->ni", self.frame, -directions).astype(np.float32)
+        normal = without_error(in_rows(hits.normal), normal_error)
+        frame = mi.Frame3f(mi.Vector3f(np.ascontiguousarray(normal.reshape(-1, 3).T)))
+        axes = [in_rows(np.array(axis).T) for axis in (frame.s, frame.t, frame.n)]
+        self.frame = np.stack(axes, 2)
+        self.incident = np.einsum("nrij,nrj->nri", self.frame, -in_rows(hits.direction))
+        self.incident = self.incident.astype(np.float32)
+        self.ray_position = in_rows(hits.position)
+        self.ray_normal = in_rows(hits.unmapped)
+        central = observations.centre_rays(self.rows.observation)
+        self.position = meet(self.scene, mesh_path, central).position
+
+    def _hits(self, mesh_path: Path, observations: Observations, rays: np.ndarray) -> Hits:
+        """Of rays through the pixels `rays` (n, R): through a random place in each where the rows
+        have patches; through its centre where that ray strays beyond an edge, or without patches.
+        """
+        through = rays.ravel()
+        centre = meet(self.scene, mesh_path, observations.centre_rays(through))
+        if self.rows.patch is None:
+            return centre
+
+        jittered = meet(self.scene, mesh_path, observations.rays(through, self.rng))
+        alike = (jittered.unmapped * centre.unmapped).sum(-1) > np.cos(np.radians(CONE))
+        return jittered.where(jittered.valid & alike, centre)
 
     def _lay_grid(self) -> None:
-        """One direction per cell of a grid over the sphere, and what each sees of the light."""
+        """One direction per cell of a grid over the sphere, what each sees of the light, and
+        which of a row's rays it is looked at for (cells,): all of them within as many
+        neighbours.
+        """
         self.grid_rows = max(self.h, FINEST_GRID)
         self.cell_direction, self.cell_solid_angle = grid_directions(self.grid_rows, self.rng)
         self.to_light = light_weights(self.cell_direction, self.cell_solid_angle, self.h)
+
+        row, column = np.divmod(np.arange(len(self.cell_direction)), 2 * self.grid_rows)
+        self.cell_ray = (column + 3 * row) % self.frame.shape[1]
 
     def _place_nodes(self, mesh_path: Path, extra: int) -> None:
         """Radiosity nodes: the rows' points, then `extra` random ones over the whole surface; each
@@ -124,7 +220,9 @@ class Transport:
         nearest = cKDTree(points).query(elsewhere)[1]
 
         self.node_position = np.concatenate([points, elsewhere])
-        self.node_normal = np.concatenate([self.frame[first, 2], facing])
+        normal = self.ray_normal[first].mean(1)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        self.node_normal = np.concatenate([normal, facing])
         self.node_point = np.concatenate([np.arange(len(points)), nearest])
         self.node_tree = cKDTree(self.node_position)
         self.lift = LIFT * float(np.ptp(mesh.vertices, axis=0).max())
@@ -164,12 +262,12 @@ class Transport:
                 meets[part][hit] = self.node_tree.query(np.array(si.p).T[hit])[1]
         return meets
 
-    def _interaction(self, rows: np.ndarray) -> Any:
+    def _interaction(self, rows: np.ndarray, rays: np.ndarray) -> Any:
         """Surface interaction that knows its local incident direction only, a lane for every one of
-        `rows`.
+        `rows` and its ray of `rays`.
         """
         si = dr.zeros(mi.SurfaceInteraction3f, len(rows))
-        si.wi = mi.Vector3f(np.ascontiguousarray(self.incident[rows].T))
+        si.wi = mi.Vector3f(np.ascontiguousarray(self.incident[rows, rays].T))
         return si
 
     def at(self, roughness: float, seed: int) -> tuple[np.ndarray, list[sparse.csr_matrix]]:
@@ -200,10 +298,8 @@ class Transport:
         row = rows[above // cells]
         cell = above % cells
 
-        si = self._interaction(row)
-        local = self.frame[rows].astype(np.float32) @ self.cell_direction.T.astype(np.float32)
-        local = local.transpose(1, 0, 2).reshape(3, -1)
-        wo = mi.Vector3f(np.ascontiguousarray(local[:, above]))
+        si = self._interaction(row, self.cell_ray[cell])
+        wo = mi.Vector3f(np.ascontiguousarray(self._local_cells(rows)[:, above]))
 
         density = 1 / self.cell_solid_angle[cell]
         density = density + HIGHLIGHT_SAMPLES * lobes.highlight_density(si, wo)
@@ -219,6 +315,16 @@ class Transport:
         lit = grid.reshape(-1, cells) @ self.to_light.astype(np.float32)
         return lit.reshape(len(LOBES), len(rows), -1)
 
+    def _local_cells(self, rows: np.ndarray) -> np.ndarray:
+        """The grid's directions in the frames of the rays that look at them, (3, rows x cells)."""
+        local = np.empty((3, len(rows), len(self.cell_direction)), np.float32)
+        for ray in range(self.frame.shape[1]):
+            mine = self.cell_ray == ray
+            frame = self.frame[rows, ray].astype(np.float32)
+            seen = frame @ self.cell_direction[mine].T.astype(np.float32)
+            local[:, :, mine] = seen.transpose(1, 0, 2)
+        return local.reshape(3, -1)
+
     def _add_highlights(
         self, lobes: PrincipledLobes, F: np.ndarray, blocked: BlockedLight, seed: int
     ) -> None:
@@ -226,19 +332,22 @@ class Transport:
         what the object hides goes to `blocked`.
         """
         row = np.repeat(np.arange(len(self.rows.point)), HIGHLIGHT_SAMPLES)
-        si = self._interaction(row)
-        wo = lobes.sample_highlight(si, seed)
+        ray = np.arange(len(row)) % self.frame.shape[1]
+        si = self._interaction(row, ray)
+        wo = lobes.sample_highlight(si, even_points(len(self.rows.point), seed))
         local = np.array(wo).T
-        direction = np.einsum("nji,nj->ni", self.frame[row], local)
-        good = (local[:, 2] > 0) & np.isfinite(direction).all(1)
+        direction = np.einsum("nji,nj->ni", self.frame[row, ray], local)
+        # a mapped normal may see below the surface
+        above = (self.ray_normal[row, ray] * direction).sum(1) > 0
+        good = (local[:, 2] > 0) & above & np.isfinite(direction).all(1)
 
         solid_angle = self._solid_angle_around(np.where(good[:, None], direction, [0, 1, 0]))
         density = 1 / solid_angle + HIGHLIGHT_SAMPLES * lobes.highlight_density(si, wo)
         value = np.where(good, np.nan_to_num(lobes(si, wo)), 0) / density
 
         meets = np.full(len(row), BELOW)
-        outgoing = row[good]
-        meets[good] = self._trace(self.position[outgoing], self.frame[outgoing, 2], direction[good])
+        start = row[good], ray[good]
+        meets[good] = self._trace(self.ray_position[start], self.ray_normal[start], direction[good])
 
         free = np.flatnonzero(meets == LIGHT)
         pixel, weight = bilinear(direction[free], self.h)

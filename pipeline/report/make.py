@@ -11,7 +11,7 @@ from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
 from pipeline.render.renderer import Explanation
 from pipeline.report.html import page
-from pipeline.report.pictures import Painter, contact_sheet
+from pipeline.report.pictures import Painter, contact_sheet, normal_map
 
 STAGES = ("capture", "poses", "masks", "mesh", "atlas", "observe", "fit")
 
@@ -42,6 +42,7 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
         "masks": (work / "masks" / "overlay.jpg").read_bytes(),
         "mesh": (work / "mesh" / "preview.png").read_bytes(),
         "atlas": (work / "atlas" / "atlas.png").read_bytes(),
+        "normals": normal_map(work),
         "photo": painter.photo_jpeg(),
         "spread": painter.spread(explanations),
     }

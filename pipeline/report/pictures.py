@@ -12,8 +12,9 @@ from PIL import Image
 from pipeline.base.config import Scene
 from pipeline.base.images import in_rows, linear_to_srgb, read_exr, read_png, to_srgb8
 from pipeline.geometry.cameras import Rig, View
+from pipeline.geometry.normal_maps import normal_map_of, read_normal_map
 from pipeline.render.envmap import directions, mean_radiance, resample_area
-from pipeline.render.metrics import psnr, render_twice, render_view
+from pipeline.render.metrics import psnr, render_pixels, render_twice
 from pipeline.render.renderer import Explanation, Renderer
 
 HEAT = cv2.COLORMAP_INFERNO
@@ -36,6 +37,14 @@ def heat(values: np.ndarray, top: float) -> np.ndarray:
 def shrink(texture: np.ndarray) -> np.ndarray:
     """A texture at the size that the page shows."""
     return cv2.resize(texture, (384, 384), interpolation=cv2.INTER_AREA)
+
+
+def normal_map(work: Path) -> bytes | None:
+    """The surface's normal map as it is exported, or None where it has none."""
+    path = normal_map_of(work / "atlas" / "mesh_uv.ply")
+    if path is None:
+        return None
+    return encode((shrink(read_normal_map(path)) * 255).astype(np.uint8))
 
 
 def contact_sheet(work: Path, rig: Rig, height: int = 150, limit: int = 18) -> bytes:
@@ -81,6 +90,8 @@ class Painter:
         self.photo = cv2.resize(photo, size, interpolation=cv2.INTER_AREA)
         self.mask = cv2.resize(mask, size, interpolation=cv2.INTER_AREA) > 250
         self.box = self._crop()
+        self.shown = np.zeros_like(self.mask)
+        self.shown[self.box] = True
         self.renderers: dict = {}
 
     def _crop(self) -> tuple[slice, slice]:
@@ -108,15 +119,14 @@ class Painter:
     def sample(self, x: Explanation) -> dict:
         """All pictures of one sample as bytes, and its PSNR in this view."""
         spp = self.scene.report.spp
-        everywhere = np.ones_like(self.mask, bool)
-        halves = render_twice(self.renderer(x), x, self.view, everywhere, spp)
+        halves = render_twice(self.renderer(x), x, self.view, self.shown, spp)
         picture = halves.mean(0)
         error = np.abs(linear_to_srgb(picture) - linear_to_srgb(self.photo)).mean(-1) * self.mask
 
         brightness = float(mean_radiance(x.light).mean())
         evening = evening_light(x.light.shape[0]) * brightness
         relit = Explanation(evening, x.base_color, x.roughness, x.metallic)
-        other = render_view(self.renderer(x), relit, self.view, spp)
+        other = render_pixels(self.renderer(x), relit, self.view, self.shown, spp)
 
         grey = lambda m: encode((shrink(np.clip(m, 0, 1)) * 255).astype(np.uint8))
         return {

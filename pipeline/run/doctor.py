@@ -22,6 +22,7 @@ STACK = (
     "open3d",
     "opencv-python-headless",
     "OpenEXR",
+    "pi-heif",
     "pillow",
     "psutil",
     "pycolmap",
@@ -35,7 +36,6 @@ STACK = (
     "threadpoolctl",
     "torch",
     "usd-core",
-    "xatlas",
 )
 
 

@@ -13,7 +13,7 @@ from typing import TextIO
 
 from pipeline.base.config import Scene, load_scene, slice_of
 from pipeline.base.errors import InputError
-from pipeline.photos.capture import camera_file, find_photos, mask_file
+from pipeline.photos.scene_files import camera_file, find_photos, mask_file
 from pipeline.prior.locate import prior_files
 from pipeline.run.stage import overrides
 

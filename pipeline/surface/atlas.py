@@ -1,55 +1,22 @@
-"""One UV atlas in [0, 1]^2 without overlaps (xatlas), or the mesh's own where it is valid."""
+"""One UV atlas in [0, 1]^2 without overlaps, or the mesh's own where it is valid."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 from pipeline.base.config import Atlas
 from pipeline.base.errors import InputError
 from pipeline.base.images import write_png
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh, vertex_normals
+from pipeline.surface.charts import cut, flattened
+from pipeline.surface.pack import packed
+from pipeline.surface.plate import umbrella
+from pipeline.surface.raster import rasterize
 
-# xatlas takes the resolution as a target and may exceed it: ask for less so that padding holds
-ASK = 0.82
-
-
-def rasterize(uv: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
-    """How many triangles cover each texel centre, (size, size) int32; row 0 is v = 1.
-
-    uv: (n, 2), v up; faces: (m, 3).
-    """
-    corners = (uv * [1, -1] + [0, 1])[faces] * size
-    return _count(np.ascontiguousarray(corners), size)
-
-
-@njit(cache=False)
-def _count(corners: np.ndarray, size: int) -> np.ndarray:
-    """The loop of `rasterize`: corners (m, 3, 2) in texels, x right and y down. Letters: a, b, c a
-    triangle's corners; s, t barycentric coordinates of b and c.
-    """
-    count = np.zeros((size, size), np.int32)
-    for k in range(len(corners)):
-        a, b, c = corners[k]
-        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if abs(area) < 1e-12:
-            continue
-
-        left = max(int(np.floor(min(a[0], b[0], c[0]))), 0)
-        right = min(int(np.ceil(max(a[0], b[0], c[0]))), size)
-        top = max(int(np.floor(min(a[1], b[1], c[1]))), 0)
-        bottom = min(int(np.ceil(max(a[1], b[1], c[1]))), size)
-        for row in range(top, bottom):
-            for column in range(left, right):
-                x = column + 0.5
-                y = row + 0.5
-                s = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
-                t = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-                if s > 1e-6 and t > 1e-6 and s + t < 1 - 1e-6:
-                    count[row, column] += 1
-    return count
+PACK_AT = 1024  # texels along a side at which charts are packed at most
+EVENING = 10  # times that vertices are moved towards their neighbours before charts are cut
 
 
 def judge(uv: np.ndarray, faces: np.ndarray, size: int = 1024) -> dict:
@@ -65,35 +32,37 @@ def judge(uv: np.ndarray, faces: np.ndarray, size: int = 1024) -> dict:
 
 
 def unwrap(mesh: Mesh, settings: Atlas) -> tuple[Mesh, int]:
-    """Charts by xatlas, packed into one square; vertices are split at seams. (Mesh with uv, number
-    of charts).
+    """Few flat charts, packed into one square; vertices are split at seams, faces keep their
+    order. (Mesh with uv, number of charts). Raises InputError where the charts do not fit.
+
+    Charts are cut and laid flat on an evened copy of the surface, so that lumps neither become
+    charts nor take more texels than their surroundings. Above PACK_AT texels, charts are packed at
+    that resolution, with the same share of the square as padding.
     """
-    import xatlas
+    even = _evened(mesh)
+    charts = flattened(even, mesh.faces, cut(even, mesh.faces))
+    corners = [np.searchsorted(c.index, mesh.faces[c.members]) for c in charts]
+    resolution = min(settings.resolution, PACK_AT)
+    padding = int(np.ceil(settings.padding * resolution / settings.resolution))
+    placed = packed([(c.uv, k) for c, k in zip(charts, corners)], resolution, padding)
 
-    atlas = xatlas.Atlas()
-    atlas.add_mesh(
-        mesh.vertices.astype(np.float32),
-        mesh.faces.astype(np.uint32),
-        mesh.normals.astype(np.float32),
-    )
-    pack = xatlas.PackOptions()
-    pack.resolution = max(16, int(ASK * settings.resolution))
-    pack.padding = settings.padding
-    pack.bilinear = True
-    atlas.generate(xatlas.ChartOptions(), pack)
-    if atlas.atlas_count != 1:
-        raise InputError(
-            f"the surface needs {atlas.atlas_count} atlas pages",
-            "atlas",
-            "raise atlas.resolution or lower mesh.faces or atlas.padding",
-        )
+    faces = np.empty_like(mesh.faces)
+    start = 0
+    for chart, corner in zip(charts, corners):
+        faces[chart.members] = start + corner
+        start += len(chart.index)
+    index = np.concatenate([c.index for c in charts])
+    uv = np.concatenate(placed)
+    return Mesh(mesh.vertices[index], faces, mesh.normals[index], uv), len(charts)
 
-    index, faces, uv = atlas[0]
-    longest = max(atlas.width, atlas.height)
-    uv = uv * [atlas.width / longest, atlas.height / longest]  # keep texels square
-    uv = uv.astype(np.float64)
-    unwrapped = Mesh(mesh.vertices[index], faces.astype(np.int64), mesh.normals[index], uv)
-    return unwrapped, atlas.chart_count
+
+def _evened(mesh: Mesh) -> np.ndarray:
+    """The vertices (n, 3), moved EVENING times half-way to their neighbours' mean."""
+    links = umbrella(len(mesh.vertices), mesh.faces)
+    out = mesh.vertices.astype(float)
+    for _ in range(EVENING):
+        out = out + 0.5 * (links @ out)
+    return out
 
 
 def layout(uv: np.ndarray, faces: np.ndarray, size: int = 512) -> np.ndarray:

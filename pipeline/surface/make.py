@@ -1,14 +1,11 @@
-"""Surface of the object; `make_mesh` runs the whole stage.
-
-SURFACE_METHODS: name -> function(grid, hull field, depth maps) -> field. hull: soft visual hull.
-fused: hull carved further by stereo where views agree. Both end in marching cubes, always closed.
+"""Surface of the object; `make_mesh` runs the whole stage: depth maps and hull are fused, the
+surface is moved to where photos agree best, then decimated.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from pipeline.base.config import Mesh as MeshSettings
@@ -17,36 +14,15 @@ from pipeline.base.files import json_entry, read_json
 from pipeline.base.images import linear_to_srgb, luminance, read_exr, read_png, write_png
 from pipeline.geometry.cameras import Rig, load_cameras
 from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh
-from pipeline.geometry.voxels import Grid
-from pipeline.masks.agreement import hull_points
+from pipeline.surface.bake import DENSE
 from pipeline.surface.clean import facts, simplify, to_mesh
+from pipeline.surface.depth import neighbours
 from pipeline.surface.facts import SurfaceFacts
-from pipeline.surface.field import hull_of, projections, stacked, stereo_field
+from pipeline.surface.fusion import build_field, silhouettes_of
+from pipeline.surface.photometric import Refinement, refine_mesh
 from pipeline.surface.preview import Silhouette, shaded
-from pipeline.surface.stereo import Depth, stereo
 
-TRUNCATION = 4.0  # cells
-
-
-def fuse(grid: Grid, hull: np.ndarray, depths: list[Depth]) -> np.ndarray:
-    """The smaller of hull and stereo, where the agreeing views of all depth maps sum to 3 or more.
-    A cell is emptied by 2 or more views that look through it, if they are over half of that sum.
-    """
-    h, w = depths[0].depth.shape
-    behind, weight, free = stereo_field(
-        grid.low.astype(np.float32),
-        np.float32(grid.cell),
-        grid.shape,
-        projections([d.view for d in depths], w, h),
-        stacked([d.depth for d in depths]),
-        stacked([d.agreeing for d in depths]),
-        np.float32(TRUNCATION * grid.cell),
-    )
-    out = np.where(weight >= 3, np.minimum(hull, behind), hull)
-    return np.where((free >= 2) & (free > 0.5 * weight), np.minimum(out, -0.5), out)
-
-
-SURFACE_METHODS = {"hull": lambda grid, hull, depths: hull, "fused": fuse}
+NEIGHBOURS = 4  # photos that refinement compares each photo with
 
 
 def given_mesh(scene: Path, rig: Rig) -> Mesh | None:
@@ -69,155 +45,77 @@ def given_mesh(scene: Path, rig: Rig) -> Mesh | None:
     return Mesh(vertices, mesh.faces, mesh.normals @ turn.T, mesh.uv)
 
 
-def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
-    """Points (n, 3) that fill the masks' common volume, and a margin within which it is known.
+def grey_photos(rig: Rig, poses: Path) -> list[np.ndarray]:
+    """All photos as grey (h, w) float32 in [0, 1], sRGB-encoded: matching sees what eyes see."""
+    return [
+        luminance(linear_to_srgb(read_exr(poses / v.image))).astype(np.float32) for v in rig.views
+    ]
 
-    InputError naming the worst views when there is no common volume.
+
+def reconstructed(
+    rig: Rig, poses: Path, masks_folder: Path, settings: MeshSettings, given: bool, threads: int
+) -> tuple[Mesh, dict]:
+    """The surface from masks and photos before decimation, and facts about how it was made.
+
+    given: the masks are the user's own.
     """
-    points, cell = hull_points(rig, masks, 72, 0.15)
-    if len(points):
-        return points, 2.5 * cell
-
-    area = {n: float(m.mean()) for n, m in masks.items()}
-    worst = sorted(area, key=area.__getitem__)[:3]
-    raise InputError(
-        f"the masks have no volume in common; smallest masks: {', '.join(worst)}",
-        "masks",
-        "look at masks/overlay.jpg and correct those masks in the scene's folder masks/",
-    )
-
-
-def build_field(
-    rig: Rig,
-    poses: Path,
-    masks: dict,
-    confidence: dict,
-    settings: MeshSettings,
-    given: bool,
-    threads: int,
-) -> tuple[np.ndarray, Grid, dict]:
-    """Field and grid by the chosen method, and the facts behind the choice."""
-    points, margin = coarse_hull(rig, masks)
-    low = points.min(0) - margin
-    high = points.max(0) + margin
-    plane = rig.facts.get("plane")
-    if plane is not None:
-        low[1] = max(low[1], plane["offset"] - 0.02 * (high[1] - low[1]))
-    grid = Grid.over(low, high, settings.grid)
-
-    carving = [v for v in rig.views if confidence[v.name]["carve"]]
-    if len(carving) < 3:
-        raise InputError(
-            "fewer than 3 masks agree with each other",
-            "masks",
-            "correct the masks in the scene's folder masks/",
+    masks = {v.name: read_png(masks_folder / "masks" / f"{v.name}.png") > 127 for v in rig.views}
+    seen = silhouettes_of(rig, masks, read_json(masks_folder / "confidence.json"), given)
+    images = grey_photos(rig, poses)
+    field, grid, how = build_field(seen, images, settings, threads)
+    dense = to_mesh(field, grid)
+    if how["method"] == "fused" and settings.refine_steps:
+        near = neighbours(rig.views, rig.center, NEIGHBOURS)
+        steps = (settings.refine_steps,) * 2
+        refinement = Refinement(scales=(0.5, 1.0), steps=steps, plate=settings.plate)
+        dense, facts_of_steps = refine_mesh(
+            dense, rig.views, images, near, refinement, threads=threads
         )
-
-    truncation = TRUNCATION * grid.cell
-    tolerance = 0.04 if given else 0.08
-    hull = hull_of(grid, carving, [masks[v.name] for v in carving], truncation, tolerance)
-
-    depths: list[Depth] = []
-    share = None
-    if settings.method != "hull":
-        depths, share = _stereo_of(rig, poses, masks, settings, points, margin, threads)
-    method, why = _choose(settings, share)
-    field = SURFACE_METHODS[method](grid, hull, depths)
-
-    # nothing of the object lies below the ground; a thin slab of ground would stick to it
-    if plane is not None:
-        y = grid.low[1] + (np.arange(grid.shape[1]) + 0.5) * grid.cell
-        above = (y - plane["offset"] - 1.5 * grid.cell) / truncation
-        field = np.minimum(field, above[None, :, None])
-    return field, grid, {"method": method, "why": why, "stereo_share": share}
-
-
-def _stereo_of(
-    rig: Rig,
-    poses: Path,
-    masks: dict,
-    settings: MeshSettings,
-    points: np.ndarray,
-    margin: float,
-    threads: int,
-) -> tuple[list[Depth], float]:
-    """Depth maps of all photos at `stereo_scale`, and the share of mask pixels that have depth."""
-    views = [v.scaled(settings.stereo_scale) for v in rig.views]
-    images = []
-    small = []
-    for full, view in zip(rig.views, views):
-        size = (view.width, view.height)
-        grey = (luminance(linear_to_srgb(read_exr(poses / full.image))) * 255).astype(np.uint8)
-        images.append(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
-        mask = masks[full.name].astype(np.uint8)
-        small.append(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST) > 0)
-    return stereo(views, images, small, points, margin, threads)
-
-
-def _choose(settings: MeshSettings, share: float | None) -> tuple[str, str]:
-    """A key of SURFACE_METHODS, and why it was chosen. `share`: of mask pixels with depth."""
-    if settings.method != "auto":
-        return settings.method, "asked for"
-
-    assert share is not None  # only the hull does without stereo
-    trusted = share >= settings.min_agreement
-    why = (
-        f"{100 * share:.0f} % of mask pixels have depth that views agree on; "
-        f"{'at least' if trusted else 'less than'} {100 * settings.min_agreement:.0f} % "
-        "are needed to trust stereo"
-    )
-    return ("fused" if trusted else "hull"), why
+        how["refinement"] = facts_of_steps
+    return dense, how | {"cell": grid.cell, "warnings": warnings_of(rig, masks)}
 
 
 def make_mesh(
     poses: Path, masks_folder: Path, scene: Path, out: Path, settings: MeshSettings, threads: int
 ) -> dict:
-    """Write mesh.ply, surface.json (`SurfaceFacts`), preview.png and masks/ into `out`; returns
-    metrics and what was decided. The normals' error is 0 for a given mesh: its wobble is meant.
+    """Write mesh.ply, surface.json (`SurfaceFacts`), preview.png and masks/ into `out`, and where
+    the mesh was not given dense.ply, the surface before decimation; returns metrics and what was
+    decided. The normals' error is 0 for a given mesh: its wobble is meant.
     """
     rig = load_cameras(poses / "cameras.json")
     mesh = given_mesh(scene, rig)
     if mesh is not None:
-        given = True
         metrics = {
             "method": "given",
             "why": "the scene folder has a mesh",
             "normal_error": 0.0,
         } | facts(mesh)
     else:
-        masks = {
-            v.name: read_png(masks_folder / "masks" / f"{v.name}.png") > 127 for v in rig.views
-        }
         given = json_entry(masks_folder / "masks.json", "method") == "given"
-        field, grid, metrics = build_field(
-            rig, poses, masks, read_json(masks_folder / "confidence.json"), settings, given, threads
-        )
-        mesh, more = simplify(to_mesh(field, grid), settings.faces)
-        metrics |= more | {
-            "cell": grid.cell,
-            "normal_error": normal_wobble(mesh),
-            "warnings": warnings_of(rig, masks),
-        }
+        dense, how = reconstructed(rig, poses, masks_folder, settings, given, threads)
+        save_mesh(out / DENSE, dense)
+        mesh, more = simplify(dense, settings.faces)
+        metrics = how | more | {"normal_error": normal_wobble(mesh)}
     save_mesh(out / "mesh.ply", mesh)
     SurfaceFacts(metrics["normal_error"]).save(out)
     write_png(out / "preview.png", shaded(mesh))
+    kept = {v.name for v in rig.views}
+    if metrics["method"] == "fused":
+        kept = set(json_entry(masks_folder / "masks.json", "given"))
     metrics["mask_share_without_surface"] = surface_masks(
-        rig,
-        masks_folder / "masks",
-        mesh,
-        out / "masks",
-        trust_masks=metrics["method"] != "fused" or given,
+        rig, masks_folder / "masks", mesh, out / "masks", kept
     )
     return metrics
 
 
-def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, trust_masks: bool) -> float:
+def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, kept: set[str]) -> float:
     """Write each view's final mask; returns the share of the masks' pixels that the surface does
     not cover.
 
     Automatic masks may hold ground that stereo has told from the object, or miss a part that all
-    other views show: the fused surface knows better, and its silhouette is the final mask. Given
-    masks, and masks that alone made the surface, are kept as they are.
+    other views show: the fused surface knows better, and its silhouette is the final mask. The
+    masks of the views in `kept` stay as they are: those that were given, and all where they alone
+    made the surface.
     """
     out.mkdir()
     covered_in = Silhouette(mesh)
@@ -229,7 +127,7 @@ def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, trust_masks: boo
         covered = covered_in(v)
         missed += (mask & ~covered).sum()
         total += mask.sum()
-        write_png(out / f"{v.name}.png", (mask if trust_masks else covered) * np.uint8(255))
+        write_png(out / f"{v.name}.png", (mask if v.name in kept else covered) * np.uint8(255))
     return float(missed / max(total, 1))
 
 

@@ -22,6 +22,7 @@ from pipeline import __version__
 from pipeline.base.errors import InputError
 from pipeline.base.images import linear_to_srgb, write_exr, write_png
 from pipeline.geometry.mesh_io import Mesh, load_mesh
+from pipeline.geometry.normal_maps import normal_map_of
 from pipeline.render.renderer import Explanation
 from pipeline.usd.check import check
 
@@ -33,18 +34,28 @@ GAUGE = (
 )
 
 
+# UsdUVTexture's output is scale x value + bias: from [0, 1] back to a normal
+NORMAL_SCALE = Gf.Vec4f(2, 2, 2, 1)
+NORMAL_BIAS = Gf.Vec4f(-1, -1, -1, 0)
+
+
 @dataclass
 class Asset:
-    """File names of one sample's textures, relative to exports/."""
+    """File names of one sample's textures, relative to exports/. normal: all samples' one, or None
+    where the surface has no normal map.
+    """
 
     base_color: str
     roughness: str
     metallic: str
     light: str
+    normal: str | None = None
 
 
-def write_textures(x: Explanation, folder: Path, relative: str) -> Asset:
-    """8-bit PNG maps (base colour sRGB, others raw) and a float EXR light."""
+def write_textures(x: Explanation, folder: Path, relative: str, normal: str | None = None) -> Asset:
+    """8-bit PNG maps (base colour sRGB, others raw) and a float EXR light; `normal`: the normal
+    map's file name, which all samples share.
+    """
     folder.mkdir(parents=True)
     write_png(folder / "base_color.png", np.round(linear_to_srgb(x.base_color) * 255))
     for name in ("roughness", "metallic"):
@@ -55,6 +66,7 @@ def write_textures(x: Explanation, folder: Path, relative: str) -> Asset:
         f"{relative}/roughness.png",
         f"{relative}/metallic.png",
         f"{relative}/light.exr",
+        normal,
     )
 
 
@@ -95,10 +107,10 @@ def define_mesh(stage: Usd.Stage, root: Usd.Prim, mesh: Mesh) -> UsdGeom.Mesh:
 
 
 def define_material(
-    stage: Usd.Stage, root: Usd.Prim, mesh: UsdGeom.Mesh
+    stage: Usd.Stage, root: Usd.Prim, mesh: UsdGeom.Mesh, normal_map: bool
 ) -> dict[str, UsdShade.Shader]:
-    """UsdPreviewSurface (metallic workflow, ior 1.5) with three texture readers, which are returned
-    by name.
+    """UsdPreviewSurface (metallic workflow, ior 1.5) with a texture reader per map, which are
+    returned by name.
     """
     material = UsdShade.Material.Define(stage, root.GetPath().AppendChild("Material"))
     path = material.GetPath()
@@ -114,11 +126,14 @@ def define_material(
     surface.CreateInput("ior", Kinds.Float).Set(1.5)
 
     textures = {}
-    for name, slot, space, kind, output in (
+    slots = [
         ("base_color", "diffuseColor", "sRGB", Kinds.Color3f, "rgb"),
         ("roughness", "roughness", "raw", Kinds.Float, "r"),
         ("metallic", "metallic", "raw", Kinds.Float, "r"),
-    ):
+    ]
+    if normal_map:
+        slots.append(("normal", "normal", "raw", Kinds.Normal3f, "rgb"))
+    for name, slot, space, kind, output in slots:
         title = "".join(word.title() for word in name.split("_"))
         texture = UsdShade.Shader.Define(stage, path.AppendChild(title))
         texture.CreateIdAttr("UsdUVTexture")
@@ -131,6 +146,10 @@ def define_material(
         texture.CreateInput("file", Kinds.Asset)
         surface.CreateInput(slot, kind).ConnectToSource(texture.ConnectableAPI(), output)
         textures[name] = texture
+
+    if normal_map:
+        textures["normal"].CreateInput("scale", Kinds.Float4).Set(NORMAL_SCALE)
+        textures["normal"].CreateInput("bias", Kinds.Float4).Set(NORMAL_BIAS)
 
     out = surface.CreateOutput("surface", Kinds.Token)
     material.CreateSurfaceOutput().ConnectToSource(out.GetAttr().GetPath())
@@ -160,7 +179,7 @@ def write_variants(path: Path, name: str, mesh: Mesh, assets: list[Asset], facts
     """The main file: one variant per sample."""
     stage, root = new_stage(path, name, facts)
     prim = define_mesh(stage, root, mesh)
-    textures = define_material(stage, root, prim)
+    textures = define_material(stage, root, prim, assets[0].normal is not None)
     light = define_light(stage, root)
 
     variants = root.GetVariantSets().AddVariantSet("sample")
@@ -177,10 +196,10 @@ def write_flat(path: Path, name: str, mesh: Mesh, asset: Asset, facts: dict) -> 
     """One sample without any composition, beside its folder of textures."""
     stage, root = new_stage(path, name, facts)
     prim = define_mesh(stage, root, mesh)
-    textures = define_material(stage, root, prim)
+    textures = define_material(stage, root, prim, asset.normal is not None)
     light = define_light(stage, root)
 
-    beside = Asset(*(path.split("/", 1)[1] for path in vars(asset).values()))
+    beside = Asset(*(path and path.split("/", 1)[1] for path in vars(asset).values()))
     point_at(textures, light, beside, "./")
     stage.GetRootLayer().Save()
 
@@ -206,14 +225,22 @@ def staging(out: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def build(folder: Path, scene: str, mesh: Mesh, samples: list[Path], facts: dict) -> None:
-    """Write <scene>.usda and <scene>/ into `folder`. RuntimeError when a file does not pass the
-    validators.
+def build(folder: Path, scene: str, surface: Path, samples: list[Path], facts: dict) -> None:
+    """Write <scene>.usda and <scene>/ into `folder`; surface: the mesh with its atlas, beside which
+    the normal map lies. RuntimeError when a file does not pass the validators.
     """
     name = Tf.MakeValidIdentifier(scene)
     inside = folder / scene
+    inside.mkdir()
+    mesh = load_mesh(surface)
+    normal_map = normal_map_of(surface)
+    normal = None
+    if normal_map is not None:
+        shutil.copy(normal_map, inside / normal_map.name)
+        normal = f"{scene}/{normal_map.name}"
+
     assets = [
-        write_textures(Explanation.load(s), inside / f"sample_{k}", f"{scene}/sample_{k}")
+        write_textures(Explanation.load(s), inside / f"sample_{k}", f"{scene}/sample_{k}", normal)
         for k, s in enumerate(samples)
     ]
     for k, asset in enumerate(assets):
@@ -265,9 +292,9 @@ def export(atlas: Path, samples: list[Path], out: Path, facts: dict) -> dict:
     samples: folders with light.exr, base_color.exr, roughness.exr, metallic.exr. Raises InputError
     when exports/ cannot be written, RuntimeError when an export does not pass the USD validators.
     """
-    mesh = load_mesh(atlas / "mesh_uv.ply")
+    surface = atlas / "mesh_uv.ply"
     with staging(out) as folder:
-        build(folder, out.stem, mesh, samples, facts | {"samples": len(samples)})
+        build(folder, out.stem, surface, samples, facts | {"samples": len(samples)})
         unpacked = package(folder, out.stem)
         publish(folder, out)
 

@@ -10,8 +10,8 @@ from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, read_png, srgb_to_linear, write_exr, write_png
 from pipeline.geometry.cameras import Y_FROM_Z_UP, View
 from pipeline.geometry.mesh_io import load_mesh
-from pipeline.photos.capture import find_photos
 from pipeline.photos.given_cameras import read_transforms
+from pipeline.photos.scene_files import find_photos
 
 SIZE = 40
 SMALL = Options(size=SIZE, spp=2, views=3, test=1)

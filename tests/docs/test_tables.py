@@ -68,6 +68,33 @@ def test_figures_in_which_the_other_is_better_or_equal_are_all_named(monkeypatch
     ]
 
 
+def test_real_sets_stand_before_and_now(house, monkeypatch):
+    sample = {"metallic_median": 0.94, "roughness_median": 0.5}
+    lego = {"scene": "lego", "unlit_psnr": 18.9, "lit_psnr": 18.4, "gain": -0.5, "charts": 1480}
+    lego |= {"samples": [sample, sample], "truth": {"normal_error_median_degrees": 12.5}}
+    failed = {"scene": "axe", "failed": "exit status 1"}
+    now = lego | {"lit_psnr": 20.4, "gain": 1.5, "truth": {}}
+    (tables.RESULTS / "real_sets.json").parent.mkdir(parents=True)
+    (tables.RESULTS / "real_sets.json").touch()
+    rows = {"real_sets_before": [lego, failed], "real_sets": [now]}
+    monkeypatch.setattr(tables, "rows_of", rows.__getitem__)
+    monkeypatch.setattr(tables, "source", lambda name: "")
+
+    head, _, *body = [line.split(" | ") for line in tables.real_sets().splitlines()]
+    assert {len(line) for line in body} == {len(head)}
+    assert [line[:5] for line in body] == [
+        ["| lego", "before", "18.9", "18.4", "-0.5"],
+        ["| lego", "now", "18.9", "20.4", "1.5"],
+        ["| axe", "before", "exit status 1", "", ""],
+        ["| mean of 1", "before", "18.9", "18.4", "-0.5"],
+        ["| mean of 1", "now", "18.9", "20.4", "1.5"],
+    ]
+    assert ".94, .94" in body[0]
+    assert [line.split(" | ")[1] for line in tables.real_sets_truth().splitlines()[2:]] == [
+        "before"
+    ]
+
+
 def test_rows_are_taken_with_their_source_and_written_into_the_page(house, monkeypatch):
     data = {"machine": "two cores", "rows": [{"stage": "fit", "seconds": 34}]}
     (house / "rows.json").write_text(json.dumps(data))

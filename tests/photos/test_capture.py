@@ -9,8 +9,9 @@ from PIL import Image
 from pipeline.base.config import Capture
 from pipeline.base.errors import InputError
 from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write_exr
-from pipeline.photos.capture import capture, find_photos
+from pipeline.photos.capture import capture
 from pipeline.photos.given_cameras import read_transforms
+from pipeline.photos.scene_files import find_photos
 
 PHOTO = (np.random.default_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
 
@@ -25,6 +26,8 @@ def scene(tmp_path):
 
 
 def run(scene, tmp_path, **settings):
+    """Capture with every photo kept: those of these tests show one and the same noise."""
+    settings = {"leave_out": "none"} | settings
     out = tmp_path / "out"
     out.mkdir()
     metrics = capture(scene, out, Capture(**settings))
@@ -78,7 +81,7 @@ def test_alpha_becomes_a_mask_and_does_not_darken_edges(tmp_path):
         Image.fromarray(rgba).save(folder / "images" / f"{k}.png")
     out = tmp_path / "out"
     out.mkdir()
-    assert capture(folder, out, Capture(max_size=64))["masks"] == 3
+    assert capture(folder, out, Capture(max_size=64, leave_out="none"))["masks"] == 3
     mask = np.asarray(Image.open(out / "masks" / "0.png")) > 0
     assert mask.sum() == 18 * 18
     assert np.allclose(
@@ -98,6 +101,7 @@ def test_exposure_is_divided_out(scene, tmp_path):
     out, metrics, photos = run(scene, tmp_path)
     a, b = (read_exr(out / "images" / f"p{k}.exr") for k in (0, 1))
     assert np.allclose(a, 2 * b, rtol=0.01, atol=1e-3) and "2.00" in metrics["exposure"]
+    assert abs(np.log([p["gain"] for p in photos]).sum()) < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -111,7 +115,6 @@ def test_exposure_is_divided_out(scene, tmp_path):
         ),
         (lambda s: _mask(s, np.full((10, 10), 255, np.uint8)), "10x10"),
         (lambda s: _mask(s, np.zeros((24, 36), np.uint8)), "all black"),
-        (lambda s: _mask(s, np.full((24, 36), 255, np.uint8)), "have no mask"),
         (lambda s: Image.fromarray(PHOTO).save(s / "images" / "bild 1 ä.jpg"), "two photos"),
         (
             lambda s: (s / "transforms.json").write_text(
@@ -154,9 +157,8 @@ def test_dots_in_names_stay_apart_and_unnamed_photos_are_told(scene, tmp_path, c
     ]
     (scene / "transforms.json").write_text(json.dumps({"camera_angle_x": 1.0, "frames": frames}))
     out, metrics, photos = run(scene, tmp_path)
-    assert [p["name"] for p in photos] == ["frame.0", "frame.1", "frame.2"] and metrics[
-        "unused"
-    ] == 4
+    assert [p["name"] for p in photos] == ["frame.0", "frame.1", "frame.2"]
+    assert metrics["left_out"] == 4
     assert all((out / "images" / f"{p['name']}.exr").exists() for p in photos)
     assert "bild 0" in capsys.readouterr().err
 
@@ -280,4 +282,78 @@ def test_symbolic_links_of_the_users_own_work(scene, tmp_path, linked):
 
     name_photos(scene, photos)
     _, metrics, _ = run(link, tmp_path)
-    assert metrics["photos"] == 4 and metrics["unused"] == 0
+    assert metrics["photos"] == 4 and metrics["left_out"] == 0
+
+
+# --- saturation, before scaling ---------------------------------------------------------------
+
+
+def test_saturation_is_judged_before_scaling(scene, tmp_path):
+    """Single saturated pixels of a photo that is scaled by 4 leave no trace in the mean's level;
+    grey just below the clip level is not saturated however much of it there is.
+    """
+    photo = np.full((96, 128, 3), 100, np.uint8)
+    photo[8, 40] = 255  # one pixel, all channels
+    photo[50, 100, 2] = 255  # one pixel, one channel
+    photo[60:, :60] = 250  # .980 of full scale
+    for k in range(4):
+        Image.fromarray(photo).save(scene / "images" / f"bild {k} ä.png")
+    out, metrics, photos = run(scene, tmp_path, max_size=64)
+    out_saturated = np.asarray(Image.open(out / "saturated" / "bild 1 ä.png")) > 0
+    assert np.argwhere(out_saturated).tolist() == [[4, 20], [25, 50]]
+    assert read_exr(out / "images" / "bild 1 ä.exr")[4, 20].max() < 0.4
+    assert metrics["clipped_share"] == pytest.approx(2 / (48 * 64))
+
+
+def test_scaling_averages_light_and_not_codes(scene, tmp_path):
+    stripes = np.zeros((96, 128, 3), np.uint8)
+    stripes[:, ::2] = 200
+    for k in range(4):
+        Image.fromarray(stripes).save(scene / "images" / f"bild {k} ä.png")
+    out, _, _ = run(scene, tmp_path, max_size=64)
+    np.testing.assert_allclose(
+        read_exr(out / "images" / "bild 0 ä.exr"),
+        0.5 * srgb_to_linear(np.array(200 / 255)),
+        rtol=2e-3,
+    )
+
+
+# --- files that are not used ------------------------------------------------------------------
+
+
+def test_files_that_are_left_out_are_named(scene, tmp_path, capsys):
+    from tests.photos.files import DATA
+
+    images = scene / "images"
+    for name in ("a.dng", "b.mov", "c.webp", "notes.txt"):
+        (images / name).write_bytes(b"x")
+    (images / "d.HEIC").write_bytes((DATA / "plain.heic").read_bytes())
+    (scene / "masks").mkdir()
+    Image.fromarray(np.full((24, 36), 255, np.uint8)).save(scene / "masks" / "bild_1.png")
+    out, metrics, photos = run(scene, tmp_path)
+    told = capsys.readouterr().err
+    assert [p["name"] for p in photos if p["file"].endswith(".HEIC")] == ["d"]
+    for name, reason in (
+        ("images/a.dng", "raw file"),
+        ("images/b.mov", "video"),
+        ("images/c.webp", "format that is not read"),
+        ("masks/bild_1.png", "matches no photo"),
+    ):
+        assert any(name in text and reason in text for text in metrics["warnings"]), name
+        assert name in told
+    assert metrics["left_out"] == 4 and "notes.txt" not in told
+
+
+def test_masks_may_be_called_by_the_photos_full_name(scene, tmp_path):
+    (scene / "masks").mkdir()
+    for k in range(4):
+        mask = Image.fromarray(np.full((24, 36), 255, np.uint8))
+        mask.save(scene / "masks" / f"bild {k} ä.png.png")
+    assert run(scene, tmp_path)[1]["masks"] == 4
+
+
+def test_masks_of_some_photos_are_taken_as_they_are(scene, tmp_path):
+    _mask(scene, np.full((24, 36), 255, np.uint8))
+    out, metrics, photos = run(scene, tmp_path)
+    assert metrics["masks"] == 1 and sum(p["has_mask"] for p in photos) == 1
+    assert len(list((out / "masks").iterdir())) == 1

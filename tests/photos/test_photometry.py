@@ -1,51 +1,101 @@
-"""Exposure from matched points."""
+"""Brightness and white balance from matched points."""
 
 import numpy as np
 import pytest
 
 from pipeline.base.images import read_exr, write_exr
-from pipeline.photos.photometry import gains, match_exposure, spread
+from pipeline.photos.photometry import gains, match_exposure, point_brightness, worth_dividing
+
+STOPS = np.array(
+    [
+        [-0.9, -0.8, -0.5],
+        [0.5, 0.5, 0.9],
+        [0.0, 0.1, -0.6],
+        [0.3, 0.4, 0.4],
+        [-0.2, -0.2, 0.3],
+        [0.9, 0.6, -0.4],
+        [1.0, -0.6, -1.0],
+    ]
+)
 
 
 def seen(stops, rng, points=400):
-    """log2 brightness of points under known gains, with shading that changes with the view; a third
-    seen per photo.
+    """log2 radiance (views, points, 3) of points under known gains, with shading that changes with
+    the view; a third seen per photo.
     """
-    value = (
-        rng.uniform(-3, 0, points)
-        + np.array(stops)[:, None]
-        + 0.1 * rng.normal(size=(len(stops), points))
-    )
-    return np.where(rng.random(value.shape) < 0.35, value, np.nan)
+    value = rng.uniform(-3, 0, (points, 3)) + stops[:, None]
+    value = value + 0.1 * rng.normal(size=value.shape)
+    return np.where((rng.random(value.shape[:2]) < 0.35)[..., None], value, np.nan)
 
 
-def test_gains_are_found_up_to_their_median():
-    stops = np.array([-0.8, 0.5, 0.0, 0.3, -0.2, 0.9, 0.0])
-    found = gains(seen(stops, np.random.default_rng(0)))
-    np.testing.assert_allclose(found, stops - np.median(stops), atol=0.06)
-    assert spread(found) > 0.25
+def test_gains_are_found_and_sum_to_zero_in_every_channel():
+    found = gains(seen(STOPS, np.random.default_rng(0)))
+    np.testing.assert_allclose(found, STOPS - STOPS.mean(0), atol=0.06)
+    np.testing.assert_allclose(found.sum(0), 0, atol=1e-12)
 
 
-def test_a_photo_with_few_points_keeps_its_exposure():
-    rows = seen(np.array([0.0, 1.0, 0.0, 0.0]), np.random.default_rng(1))
-    rows[1, 20:] = np.nan
-    assert gains(rows)[1] == 0
+def test_highlights_do_not_move_gains():
+    """A tenth of all sightings three stops brighter: least squares would be off by .3."""
+    rng = np.random.default_rng(1)
+    values = seen(STOPS, rng)
+    values[:3] += 3.0 * (rng.random(values[:3].shape[:2]) < 0.1)[..., None]
+    np.testing.assert_allclose(gains(values), STOPS - STOPS.mean(0), atol=0.08)
+
+
+def test_photos_without_links_keep_their_exposure_and_the_rest_sums_to_zero():
+    rows = seen(STOPS, np.random.default_rng(2))
+    rows[1, 20:] = np.nan  # too few points
+    rows[2, :300] = np.nan  # ... and one that shares its points with no other
+    rows[[0, 1, 3, 4, 5, 6], 300:] = np.nan
+    found = gains(rows)
+    rest = [0, 3, 4, 5, 6]
+    assert (found[[1, 2]] == 0).all()
+    np.testing.assert_allclose(found[rest], STOPS[rest] - STOPS[rest].mean(0), atol=0.08)
+    np.testing.assert_allclose(found.sum(0), 0, atol=1e-12)
+
+
+def test_brightness_and_white_balance_are_divided_each_for_itself():
+    level = np.array([-1.0, 1.0, 0.5, -0.5])[:, None] * np.ones(3)
+    tint = np.array([1.0, -1.0, -1.0, 1.0])[:, None] * np.array([0.3, 0.0, -0.3])
+    np.testing.assert_allclose(worth_dividing(level + 0.1 * tint)[0], level, atol=1e-12)
+    np.testing.assert_allclose(worth_dividing(0.1 * level + tint)[0], tint, atol=1e-12)
+    np.testing.assert_allclose(worth_dividing(level + tint)[0], level + tint, atol=1e-12)
 
 
 @pytest.mark.parametrize("step,matched", [(0.8, True), (0.02, False)])
 def test_photos_are_divided_only_if_it_is_much(ring, tmp_path, step, matched):
     rng, views = np.random.default_rng(0), ring(6, 64)
     (tmp_path / "images").mkdir()
-    stops = step * np.array([-1, 0, 1, 1, -1, 0.5])
+    stops = step * (np.array([-1, 0, 1, 1, -1, 0.5])[:, None] + np.array([0.5, 0, -0.5]))
+    stops[0] += step * np.array([1.0, 0, -1])
     for v, s in zip(views, stops):
-        write_exr(tmp_path / v.image, np.full((64, 64, 3), 0.2 * 2**s))
+        write_exr(tmp_path / v.image, np.ones((64, 64, 1)) * 0.2 * 2**s)
     xyz = rng.uniform(-0.3, 0.3, (200, 3))
     points = {"xyz": xyz, "offsets": np.arange(0, 1201, 6), "views": np.tile(np.arange(6), 200)}
-    new, facts = match_exposure(views, tmp_path, points)
-    brightness = np.array([read_exr(tmp_path / v.image).mean() for v in views])
+
+    found = gains(point_brightness(views, tmp_path, points))
+    new, facts = match_exposure(views, tmp_path, found)
+    brightness = np.array([read_exr(tmp_path / v.image).mean((0, 1)) for v in views])
     assert facts["exposure_matched"] == matched
-    assert bool(np.ptp(np.log2(brightness)) < 0.01) == matched
-    if matched:
-        np.testing.assert_allclose(
-            [n.clip_level * 2**s for n, s in zip(new, stops - np.median(stops))], 1.0, atol=1e-3
-        )
+    assert bool(np.ptp(np.log2(brightness.mean(1))) < 0.35 * step) == matched
+    before = np.exp2(np.log2(0.2) + stops.mean(0))  # geometric mean of the set, per channel
+    np.testing.assert_allclose(np.exp(np.log(brightness).mean(0)), before, rtol=2e-3)
+
+
+def test_saturated_sightings_do_not_count(ring, tmp_path):
+    """By the picture of saturated pixels, not by their value: their mean may lie anywhere."""
+    from dataclasses import replace
+
+    from pipeline.base.images import write_png
+
+    view = replace(ring(6, 64)[0], saturated="saturated/v0.png")
+    write_exr(tmp_path / view.image, np.full((64, 64, 3), 0.5))
+    left = np.zeros((64, 64), np.uint8)
+    left[:, :32] = 255
+    write_png(tmp_path / "saturated" / "v0.png", left)
+    xyz = np.random.default_rng(0).uniform(-0.3, 0.3, (100, 3))
+    points = {"xyz": xyz, "offsets": np.arange(101), "views": np.zeros(100, int)}
+    found = point_brightness([view], tmp_path, points)[0]
+    clipped = view.project(xyz)[0][:, 0] < 32
+    assert np.isnan(found[clipped]).all() and np.allclose(found[~clipped], -1)
+    assert 10 < clipped.sum() < 90

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.geometry.cameras import Rig, View, load_cameras, save_cameras
-from pipeline.photos.given_cameras import Lens, read_transforms
+from pipeline.photos.given_cameras import Lens, read_transforms, turned_right
 from pipeline.photos.poses import (
     axes_meeting_point,
     ground_plane,
@@ -193,7 +193,7 @@ def _captured(tmp_path, pictures):
     for k, picture in enumerate(pictures):
         Image.fromarray(picture).save(tmp_path / "scene" / "images" / f"{k}.png")
     (tmp_path / "capture").mkdir()
-    capture(tmp_path / "scene", tmp_path / "capture", Capture())
+    capture(tmp_path / "scene", tmp_path / "capture", Capture(leave_out="none"))
     (tmp_path / "poses").mkdir()
     return tmp_path / "capture", tmp_path / "scene", tmp_path / "poses"
 
@@ -265,3 +265,83 @@ def test_model_with_images_that_are_not_there_is_refused(tmp_path, ring):
     _model(scene / "sparse" / "0", [f"{k}.png" for k in range(3)] + ["lost.png"], ring)
     with pytest.raises(InputError, match="lost.png"):
         make_poses(capture, scene, out, Poses(), 2)
+
+
+def test_a_lens_turned_by_a_quarter_sees_the_same_points_turned(ring):
+    """A point at column x, row y of a photo lies at column h - y, row x after it was turned
+    clockwise.
+    """
+    view = ring(5)[2]
+    lens = Lens(90, 64, 80.0, 82.0, 44.0, 33.0, (-0.2, 0.05, 0.01, -0.02))
+    turned, pose = turned_right(lens, view.world_to_camera)
+    points = np.random.default_rng(0).uniform(-0.4, 0.4, (50, 3))
+    before = _distorted(lens, view.world_to_camera, points)
+    after = _distorted(turned, pose, points)
+    np.testing.assert_allclose(after, np.stack([64 - before[:, 1], before[:, 0]], 1), atol=1e-9)
+    assert (turned.width, turned.height) == (64, 90)
+
+
+def _distorted(lens, pose, points) -> np.ndarray:
+    """Pixels (n, 2) by OpenCV's own model."""
+    import cv2
+
+    camera = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
+    rotation = cv2.Rodrigues(pose[:3, :3])[0]
+    return cv2.projectPoints(points, rotation, pose[:3, 3], camera, np.array(lens.distortion))[0][
+        :, 0
+    ]
+
+
+@pytest.mark.parametrize("setting, cameras", [("auto", 2), ("single", 1), ("per_image", 5)])
+def test_portraits_and_landscapes_of_one_camera_share_it(tmp_path, setting, cameras):
+    """Three landscapes and a portrait of one camera, and one of a longer lens, as COLMAP gets
+    them: of one size, the portrait lying on its left side.
+    """
+    from PIL import Image
+
+    from pipeline.base.config import Capture, Poses
+    from pipeline.photos.capture import capture
+    from pipeline.photos.sfm import write_inputs
+    from tests.photos.files import PICTURE
+
+    (tmp_path / "scene" / "images").mkdir(parents=True)
+    upright = np.rot90(PICTURE, 3)
+    for k, picture in enumerate([PICTURE, PICTURE, upright, PICTURE, PICTURE]):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769)[0x920A] = 50.0 if k == 4 else 35.0
+        Image.fromarray(picture).save(
+            tmp_path / "scene" / "images" / f"{k}.jpg", exif=exif, quality=98, subsampling=0
+        )
+    (tmp_path / "capture").mkdir()
+    capture(tmp_path / "scene", tmp_path / "capture", Capture(leave_out="none"))
+    photos = json.loads((tmp_path / "capture" / "photos.json").read_text())["photos"]
+    (tmp_path / "colmap").mkdir()
+    names, count = write_inputs(
+        tmp_path / "capture", photos, tmp_path / "colmap", Poses(camera=setting)
+    )
+
+    assert count == cameras == len({file.split("/")[0] for file in names})
+    assert sorted(names.values()) == ["0", "1", "2", "3", "4"]
+    for file in names:
+        with Image.open(tmp_path / "colmap" / file) as image:
+            np.testing.assert_allclose(
+                np.asarray(image)[12::24, 16::32], PICTURE[12::24, 16::32], atol=6
+            )
+
+
+def test_saturated_pixels_reach_the_poses(tmp_path, ring):
+    """Through undistortion, and by their own picture: their mean is far below the clip level."""
+    from pipeline.base.config import Poses
+    from pipeline.base.images import read_exr, read_png
+    from pipeline.photos.poses import make_poses
+    from pipeline.photos.saturation import saturated
+
+    noise = np.random.default_rng(0).integers(0, 200, (6, 64, 64, 3)).astype(np.uint8)
+    noise[:, 20, 30, 1] = 255
+    capture, scene, out = _captured(tmp_path, list(noise))
+    _model(scene / "sparse" / "0", [f"{k}.png" for k in range(6)], ring)
+    make_poses(capture, scene, out, Poses(), 2)
+    view = load_cameras(out / "cameras.json").views[0]
+    assert np.argwhere(read_png(out / view.saturated)).tolist() == [[20, 30]]
+    photo = read_exr(out / view.image)
+    assert np.argwhere(saturated(out, view, 0.01 * photo)).tolist() == [[20, 30]]

@@ -5,8 +5,9 @@ import numpy as np
 
 from pipeline.base.config import Refine, Sample
 from pipeline.base.images import read_exr
+from pipeline.base.progress import Bar
 from pipeline.posterior.dpi.as_published import dpi_paper, rho
-from pipeline.posterior.refine import refine, solve_base_color
+from pipeline.posterior.refine import refine, solve_base_color, units
 from pipeline.posterior.textures import gather, splat
 from pipeline.prior.load import load_prior
 from pipeline.render.metrics import psnr, render_view
@@ -63,7 +64,9 @@ def test_sample_explains_the_photos(problem, start):
 
 def test_refined_sample_predicts_the_held_out_view(problem, start, toy):
     settings = Refine(steps=20, pixels=800, texture=32)
-    refined, _ = refine(problem, problem, start[0], settings, 0)
+    with Bar("refine", units(settings)) as bar:
+        refined, _ = refine(problem, problem, start[0], settings, 0, bar)
+    assert bar.done == bar.total
 
     view = problem.observations.held_out[0]
     photo = read_exr(toy[0] / view.image)
@@ -104,7 +107,7 @@ def test_highlights_do_not_stay_in_the_base_colour(problem):
     glossy.observations = observations
     found = replace(truth, base_color=np.full((32, 32, 3), 0.3, np.float32))
     for _ in range(3):
-        found, _ = solve_base_color(glossy, found, 8, rng)
+        found, _ = solve_base_color(glossy, found, 8 * len(observations), rng)
 
     seen = gather(found.base_color, observations.uv)
     assert np.quantile(np.abs(seen - 0.05), 0.95) < 0.03

@@ -1,19 +1,28 @@
 """The linear operator against the path tracer."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import drjit as dr
 import numpy as np
 import pytest
 
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.geometry.cameras import Rig, View, save_cameras
+from pipeline.geometry.mesh_io import load_mesh, save_mesh, unit
 from pipeline.posterior.split_gibbs.lobes import mix
 from pipeline.render.envmap import directions
 from pipeline.render.light_grid import bilinear
 from pipeline.render.observe import Observations, Tracer
-from pipeline.render.principled_lobes import LOBES, PrincipledLobes, principled_bsdf
+from pipeline.render.principled_lobes import (
+    LOBES,
+    PrincipledLobes,
+    blurred_roughness,
+    principled_bsdf,
+)
 from pipeline.render.renderer import Explanation, Renderer
-from pipeline.render.rows import choose_rows
-from pipeline.render.transport import Transport
+from pipeline.render.rows import CONE, PIXELS, Rows, SeenPixels, choose_rows
+from pipeline.render.transport import Transport, without_error
 from tests.conftest import look_at, save_surface
 
 MATERIALS = [
@@ -64,8 +73,10 @@ def uniform(light, roughness, metallic, base_color) -> Explanation:
 
 
 def traced(renderer, observations, rows, spp) -> np.ndarray:
-    """Radiance (n, 3) of the rows' rays by the path tracer."""
-    rays = observations.centre_rays(np.tile(rows.observation, spp))
+    """Radiance (n, 3) of the rows' patches by the path tracer, `spp` paths each, through the
+    centres of their pixels: elsewhere in a pixel a ray may pass the object by.
+    """
+    rays = observations.centre_rays(rows.rays(spp, np.random.default_rng(9)).T.ravel())
     return renderer.radiance(*rays, 0).reshape(spp, -1, 3).mean(0)
 
 
@@ -127,6 +138,7 @@ def test_rows_are_grouped_by_point_one_pixel_per_view(scene, transport):
     assert max(spread) < 0.15  # pixels are about .04 wide at the ball
     members = np.split(rows.patch.indices, rows.patch.indptr[1:-1])
     assert np.allclose(rows.patch.sum(1), 1) and np.mean([len(m) for m in members]) > 4
+    assert max(len(m) for m in members) == PIXELS
     assert all(
         (observations.view[m] == observations.view[centre]).all() and centre in m
         for m, centre in zip(members, rows.observation)
@@ -134,6 +146,18 @@ def test_rows_are_grouped_by_point_one_pixel_per_view(scene, transport):
     for p in range(40):
         seen = observations.view[rows.observation[rows.point == p]]
         assert 1 <= len(seen) <= 3 and len(set(seen)) == len(seen)
+
+
+@pytest.mark.parametrize("share,radius", [(1.0, 2.0), (0.1, 4.8), (0.01, 6.0)])
+def test_patches_are_wider_where_few_pixels_were_drawn(share, radius):
+    """Discs of eight pixels when all of them, a tenth and a hundredth of two photos were drawn; the
+    pixels of one photo are no neighbours of the other's.
+    """
+    rng = np.random.default_rng(0)
+    drawn = np.argwhere(rng.random((2, 120, 160)) < share)
+    observations = SimpleNamespace(view=drawn[:, 0], pixel=drawn[:, 1:].astype(np.uint16))
+    pixels = SeenPixels(np.arange(len(drawn)), np.zeros((0, 3)), np.zeros((0, 3)), 0.1)
+    assert abs(pixels.patch_radius(observations, rng) / radius - 1) < 0.15
 
 
 def test_bilinear_weights_reproduce_a_smooth_light():
@@ -190,3 +214,90 @@ def test_light_between_parts_adds_up():
     B = t.exitant(np.ones((1, 3)), np.full((2, 3), 0.6), 60)
     np.testing.assert_allclose(B, 0.3 / (1 - 0.3), atol=1e-9)
     np.testing.assert_allclose(t.exitant(np.ones((1, 3)), np.full((2, 3), 0.6), 1), 0.3)
+
+
+def log_error(prediction, truth) -> float:
+    """RMS of the log of a ratio."""
+    return float(np.sqrt((np.log(prediction / truth) ** 2).mean()))
+
+
+@pytest.fixture(scope="module")
+def bumps(tmp_path_factory):
+    """A ball with bumps a few pixels wide: renderer, observations, rows."""
+    folder = tmp_path_factory.mktemp("bumps")
+    axis = np.linspace(-0.7, 0.7, 48)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    waves = np.sin(14 * x) * np.sin(14 * y) * np.sin(14 * z)
+    save_surface(folder, np.sqrt(x**2 + y**2 + z**2) - 0.5 - 0.02 * waves, axis)
+
+    mesh = folder / "mesh_uv.ply"
+    renderer, observations = Renderer(mesh, 32, 8, 2), seen(mesh, 3, 1.2, folder)
+    return renderer, observations, choose_rows(observations, renderer.scene, 60, 3, 0)
+
+
+def test_patches_are_coherent_in_normal(bumps):
+    """All pixels of a point within CONE of its normal, so any two of them within twice that."""
+    renderer, observations, rows = bumps
+    origins, directions = observations.centre_rays(rows.patch.indices)
+    hits = renderer.scene.ray_intersect(mi.Ray3f(mi.Point3f(origins.T), mi.Vector3f(directions.T)))
+    normal = np.array(hits.sh_frame.n).T
+    point = np.repeat(rows.point, np.diff(rows.patch.indptr))
+    least = min((normal[point == p] @ normal[point == p].T).min() for p in range(60))
+    assert np.cos(np.radians(2 * CONE)) < least < np.cos(np.radians(CONE))
+    assert np.mean(np.diff(rows.patch.indptr)) > 3
+
+
+@pytest.mark.parametrize("r,share", [(0.15, 0.6), (0.4, 0.8)])
+def test_a_curved_patch_is_the_mean_of_its_pixels(bumps, scene, r, share):
+    """On bumps the mirror images of a patch spread wide: T against the path tracer's patch means,
+    beside the T of the central pixels alone.
+    """
+    renderer, observations, rows = bumps
+    light = scene[2]
+    renderer.set(uniform(light, r, 1.0, 0.7))
+    truth = traced(renderer, observations, rows, 256)
+    errors = []
+    for of_rows in (rows, Rows(rows.observation, rows.point)):
+        T = Transport(renderer.scene, renderer.mesh, observations, of_rows, 8, 30, 0)
+        U, W = mix(T.at(r, 1)[0] @ light.reshape(-1, 3), 1.0)
+        errors.append(log_error(0.7 * U + W, truth))
+    assert errors[0] < 0.15 and errors[0] < share * errors[1]
+
+
+def test_the_meshs_error_is_taken_out_of_the_spread():
+    """Normals that spread by .2 per axis, .12 of it the mesh's: .16 stays; none where all is."""
+    rng = np.random.default_rng(0)
+    normal = np.concatenate([0.2 * rng.normal(size=(50, 4000, 2)), np.ones((50, 4000, 1))], -1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    slope = lambda n: n[..., :2] / n[..., 2:]
+    spread = lambda sigma: slope(without_error(normal, sigma)).std(1).mean()
+    np.testing.assert_allclose(without_error(normal, 0.0), normal, atol=1e-12)
+    assert abs(spread(0.12) / 0.16 - 1) < 0.05
+    assert spread(0.5) < 1e-6
+
+
+def test_normals_in_error_show_a_broader_lobe(ball, scene, tmp_path):
+    """Photos of a smooth ball, and a mesh of it whose normals err, as one from photos: the lobe of
+    alpha^2 + 2 sigma^2 explains the path-traced patch means better than the material's own.
+    """
+    renderer, observations, light = scene
+    mesh = load_mesh(ball / "mesh_uv.ply")
+    same = np.unique(mesh.vertices.round(5), axis=0, return_inverse=True)[1].ravel()
+    error = 0.12 * np.random.default_rng(4).normal(size=(same.max() + 1, 3))
+    save_mesh(tmp_path / "noisy.ply", replace(mesh, normals=unit(mesh.normals + error[same])))
+    noisy = Renderer(tmp_path / "noisy.ply", 32, 8, 2).scene
+
+    rows = choose_rows(observations, renderer.scene, 60, 3, 0)
+    T = Transport(noisy, ball / "mesh_uv.ply", observations, rows, 8, 20, 0, 0.08)
+    mean = unit(T.frame[:, :, 2].mean(1))
+    sigma = np.sqrt(((mean - unit(T.position)) ** 2).sum(1).mean() / 2)
+    assert 0.05 < sigma < 0.12  # a face's normals err less than its vertices'
+
+    own = 0.15
+    renderer.set(uniform(light, own, 1.0, 0.7))
+    truth = traced(renderer, observations, rows, 256)
+    errors = []
+    for r in (own, float(blurred_roughness(own, sigma))):
+        U, W = mix(T.at(r, 1)[0] @ light.reshape(-1, 3), 1.0)
+        errors.append(np.sqrt((((0.7 * U + W - truth) / (truth + 0.1)) ** 2).mean()))
+    assert errors[1] < 0.85 * errors[0]

@@ -5,6 +5,7 @@ wrong.
 import base64
 import io
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -103,6 +104,19 @@ def test_warnings_are_on_the_page(work, tmp_path):
     html = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "1 of 5 photos could not be placed" in html and "blurred &lt;b&gt;" in html
     assert "5 % of the pixels are saturated" in html and "fit: the fit stopped early" in html
+
+
+def test_normal_map_is_on_the_page_where_there_is_one(work, bumpy, tmp_path):
+    make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
+    assert "normal map" not in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+    shutil.copy(bumpy / "normal.png", work / "atlas")
+    facts = {"utilisation": 0.6, "normal_map_median_tilt": 7.25}
+    write_json(work / "atlas" / "atlas.json", facts)
+    make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
+    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "normal map: what decimation took, 7.2 degrees" in html
+    assert html.count("data:image/") == 5 + 4 + 2 * 9 + 1
 
 
 def test_one_sample_shows_no_spread(work, tmp_path):

@@ -1,4 +1,3 @@
-import cv2
 import numpy as np
 import pytest
 
@@ -9,11 +8,13 @@ from pipeline.geometry.cameras import Rig
 from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh, vertex_normals
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import agreement, hull_points
-from pipeline.surface.atlas import judge, make_atlas, rasterize
+from pipeline.surface.atlas import judge, make_atlas
 from pipeline.surface.clean import facts, largest_solid, signed_volume, simplify, to_mesh
+from pipeline.surface.depth import Depth
 from pipeline.surface.field import hull_of
-from pipeline.surface.make import coarse_hull, fuse, given_mesh
-from pipeline.surface.stereo import Depth, stereo
+from pipeline.surface.fusion import coarse_hull, fuse
+from pipeline.surface.make import given_mesh
+from pipeline.surface.raster import rasterize
 
 
 def silhouettes(views, radius=0.5):
@@ -60,42 +61,6 @@ def test_masks_without_common_volume_are_named(sphere):
         coarse_hull(rig, {n: np.zeros_like(m) for n, m in masks.items()})
 
 
-def test_stereo_depth_of_a_textured_wall(ring):
-    """Two rows of cameras before a plane z = 0 with noise: depth within 1 %."""
-    from pipeline.geometry.cameras import View
-    from tests.conftest import look_at
-
-    rng = np.random.default_rng(0)
-    texture = cv2.GaussianBlur(rng.uniform(0, 255, (600, 600)).astype(np.float32), (0, 0), 1.5)
-    texture = np.clip((texture - texture.mean()) * 4 + 128, 0, 255)
-    views, images = [], []
-    for k in range(6):
-        eye = [0.55 * (k % 3) - 0.55, 0.3 * (k // 3), 2.0]
-        v = View(f"v{k}", "", 160, 120, 190, 190, 80, 60, look_at(eye))
-        u, w = np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5)
-        o, d = v.rays(np.stack([u, w], -1))
-        p = o - d * (o[..., 2:] / d[..., 2:])
-        images.append(
-            cv2.remap(
-                texture,
-                (p[..., 0] * 200 + 300).astype(np.float32),
-                (p[..., 1] * 200 + 300).astype(np.float32),
-                cv2.INTER_LINEAR,
-            ).astype(np.uint8)
-        )
-        views.append(v)
-    masks = [np.ones((120, 160), bool)] * 6
-    depths, share = stereo(
-        views, images, masks, np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3)), 0.1, 2
-    )
-    assert share > 0.4
-    for depth in depths:
-        rows, columns = np.nonzero(depth.depth)
-        o, d = depth.view.rays(np.stack([columns + 0.5, rows + 0.5], -1))
-        z = o[:, 2] + d[:, 2] * depth.depth[rows, columns] / (d @ depth.view.world_to_camera[2, :3])
-        assert np.median(np.abs(z)) < 0.02
-
-
 @pytest.mark.slow
 def test_fusing_a_nearer_surface_carves_the_hull(sphere):
     """Depth maps of a smaller ball inside the hull of a larger one."""
@@ -111,8 +76,10 @@ def test_fusing_a_nearer_surface_carves_the_hull(sphere):
         depth = np.where(root > 0, -b - np.sqrt(np.maximum(root, 0)), 9.0) * (
             d @ v.world_to_camera[2, :3]
         )  # 9: far ground
-        depths.append(Depth(v, depth.astype(np.float32), np.full(depth.shape, 3, np.float32)))
-    mesh = to_mesh(largest_solid(fuse(grid, hull, depths)), grid)
+        facing = np.broadcast_to(np.float32([0, 0, -1]), (*depth.shape, 3))
+        count = np.full(depth.shape, 3, np.float32)
+        depths.append(Depth(v, depth.astype(np.float32), facing, count))
+    mesh = to_mesh(largest_solid(fuse(grid, hull, hull, depths)), grid)
     assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - 0.35) < 0.03
 
 

@@ -185,3 +185,31 @@ def test_fit_and_export_agree_on_the_texture_frame(ball):
             [renderer.radiance(centre + out, -out, seed).mean(-1) for seed in range(8)], 0
         )
         assert np.corrcoef(seen, uv[:, axis])[0, 1] > 0.9
+
+
+def shader_of(stage, name):
+    return UsdShade.Shader(stage.GetDefaultPrim().GetChild("Material").GetChild(name))
+
+
+def test_normal_map_is_exported_as_the_specification_asks(bumpy, tmp_path, exported):
+    """UsdPreviewSurface: raw values, scale 2 and bias -1, on the input `normal`; one file for all
+    variants; and none where the surface has no map.
+    """
+    out = tmp_path / "with map" / "a.usda"
+    export(bumpy, exported[2][:2], out, {"preset": "draft"})
+    files = (out, out.with_suffix("") / "sample_1.usda", out.with_suffix(".usdz"))
+    for file in files:
+        assert check(file) == []
+        stage = Usd.Stage.Open(str(file))
+        source = shader_of(stage, "Surface").GetInput("normal").GetConnectedSource()
+        texture = shader_of(stage, "Normal")
+        assert source[0].GetPrim() == texture.GetPrim() and source[1] == "rgb"
+        assert texture.GetInput("sourceColorSpace").Get() == "raw"
+        assert texture.GetInput("scale").Get() == (2, 2, 2, 1)
+        assert texture.GetInput("bias").Get() == (-1, -1, -1, 0)
+        assert texture.GetInput("file").Get().resolvedPath
+
+    exported_map = out.with_suffix("") / "normal.png"
+    assert exported_map.read_bytes() == (bumpy / "normal.png").read_bytes()
+    plain = Usd.Stage.Open(str(exported[1]))
+    assert not shader_of(plain, "Normal") and not shader_of(plain, "Surface").GetInput("normal")

@@ -22,6 +22,7 @@ SOFT = 48
 def maps(rng: Randomness, model: Model, state: State, light: np.ndarray) -> dict[str, np.ndarray]:
     """Texture maps under the operator's light (M', 3): a drawn base colour per point spread over
     its texels; roughness and metallic within regions only, so that they end where colours do.
+    Roughness is the material's own: what the normals' spread adds is left out.
     """
     data, size = model.data, model.settings.texture
     rows = RowLikelihood.of(model.mixer, state)
@@ -79,7 +80,7 @@ def facts(model: Model, state: State) -> dict:
         "points": len(data.region),
         "relative_error": state.noise.scale,
         "design_effect": state.noise.design_effect,
-        "sharpest_roughness": roughness[0],
+        "normal_spread": float(np.median(data.lobes.spreads[state.offsets[2]])),
         "regions": [
             {
                 "base_color": materials.color[r].tolist(),

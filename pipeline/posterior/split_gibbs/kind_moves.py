@@ -28,8 +28,8 @@ from pipeline.posterior.split_gibbs.metropolis import accepted
 from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 
-# rows of offsets (`coherence.OFFSETS`)
-ROUGHNESS, KIND = 0, 1
+# rows of offsets: two of `coherence.OFFSETS`, and the spread of normals
+ROUGHNESS, KIND, SPREAD = 0, 1, 2
 # of all jumps: those to the other kind, and those to any other roughness
 TO_OTHER_KIND, TO_ANY_ROUGHNESS = 0.5, 0.8
 # log colours are Student's t about the guess: degrees of freedom; width, and what is added to it
@@ -63,7 +63,7 @@ def jump_kinds(
     rng: np.random.Generator,
 ) -> tuple[RegionMaterials, np.ndarray]:
     """`jumps` of every region together with which of its points differ in kind, accepted or not:
-    materials and offsets (2, p).
+    materials and offsets (3, p).
 
     Points that lie off their region hold it where it is: a metal badge on a plastic body would have
     to be plastic before the body can. So with a region's new material its points' labels are drawn
@@ -73,7 +73,7 @@ def jump_kinds(
     favour, field = FAVOUR[KIND], data.neighbours
     label, odds = offsets[KIND], label_odds(model, seen, materials, offsets, KIND)
     for _ in range(jumps):
-        offsets = np.stack([offsets[ROUGHNESS], label])
+        offsets = of_kind(offsets, label)
         new, back = propose_jump(model, seen, materials, offsets, rng)
         odds_new = label_odds(model, seen, new, offsets, KIND)
         label_new = draw_in_order(field, odds_new, favour, rng)
@@ -90,7 +90,12 @@ def jump_kinds(
         of_points = yes[data.region]
         label = np.where(of_points, label_new, label)
         odds = np.where(of_points[:, None], odds_new, odds)
-    return materials, np.stack([offsets[ROUGHNESS], label])
+    return materials, of_kind(offsets, label)
+
+
+def of_kind(offsets: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """`offsets` (3, p) with other labels of kind (p,)."""
+    return np.stack([offsets[ROUGHNESS], label, offsets[SPREAD]])
 
 
 def propose_jump(

@@ -22,8 +22,9 @@ from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials, State
 def point_materials(
     data: RowData, materials: RegionMaterials, offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Roughness step and metallic of every point, (p,) each, from the regions' and the points'
-    offsets (2, p) (`coherence.OFFSETS`); as metallic as a point of its roughness can be.
+    """Roughness step and metallic of every point's own material, (p,) each, from the regions' and
+    the points' offsets (3, p) (`coherence.OFFSETS`); as metallic as a point of its roughness can
+    be.
     """
     region, lobes = data.region, data.lobes
     roughness = np.clip(materials.roughness[region] + offsets[0], 0, len(lobes.roughness) - 1)
@@ -32,12 +33,22 @@ def point_materials(
     return roughness, np.minimum(metallic, lobes.most_metallic[roughness])
 
 
+def point_lobes(
+    data: RowData, materials: RegionMaterials, offsets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Roughness step of the lobe that every point shows, its normals spreading as offsets (3, p)
+    say, and its metallic, (p,) each.
+    """
+    roughness, metallic = point_materials(data, materials, offsets)
+    return data.lobes.blurred[roughness, offsets[2]], metallic
+
+
 def seen_by(
     data: RowData, seen: np.ndarray, materials: RegionMaterials, offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """U and W (n, 3) from what every lobe sees of the light, `seen` (steps, 4, n, 3)."""
     roughness, metallic = (
-        values[data.rows.point] for values in point_materials(data, materials, offsets)
+        values[data.rows.point] for values in point_lobes(data, materials, offsets)
     )
     lobes = seen[roughness, :, np.arange(seen.shape[2])].transpose(1, 0, 2)
     return mix(lobes, metallic[:, None])
@@ -56,7 +67,7 @@ class Mixed:
 
 
 def mixed(data: RowData, roughness: np.ndarray, metallic: np.ndarray) -> Mixed:
-    """The lobes of every row at its point's roughness step and metallic, (p,) each."""
+    """The lobes of every row at its point's `point_lobes`, (p,) each."""
     lobes: LobeTable = data.lobes
     n, M = lobes.direct[0].shape[1:]
     U, W = torch.empty(n, M), torch.empty(n, M)
@@ -141,7 +152,7 @@ def whiteners(
 
 @dataclass(frozen=True)
 class RowLikelihood:
-    """Log-likelihood of the rows given the light, at given materials, offsets (2, p) and noise."""
+    """Log-likelihood of the rows given the light, at given materials, offsets (3, p) and noise."""
 
     data: RowData
     noise: Noise
@@ -154,7 +165,7 @@ class RowLikelihood:
         cls, mixer: Mixer, noise: Noise, materials: RegionMaterials, offsets: np.ndarray
     ) -> RowLikelihood:
         """The likelihood at these materials and errors."""
-        matrices = mixer(*point_materials(mixer.data, materials, offsets))
+        matrices = mixer(*point_lobes(mixer.data, materials, offsets))
         return cls(mixer.data, noise, materials, offsets, matrices)
 
     @classmethod
@@ -173,7 +184,7 @@ class RowLikelihood:
 
     def albedo(self) -> np.ndarray:
         """Albedo (p, 3) of the points for light between parts of the object, all lobes together."""
-        roughness, metallic = point_materials(self.data, self.materials, self.offsets)
+        roughness, metallic = point_lobes(self.data, self.materials, self.offsets)
         U, W = mix(self.data.lobes.albedo[roughness].T[..., None], metallic[:, None])
         return np.clip(self.materials.color[self.data.region] * U + W, 0, ALBEDO_MAX)
 

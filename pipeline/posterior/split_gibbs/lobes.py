@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from pipeline.render.principled_lobes import lobe_albedo
+from pipeline.render.principled_lobes import blurred_roughness, lobe_albedo
 from pipeline.render.transport import Transport
 
 # roughness of the lobes that are traced
@@ -26,6 +26,8 @@ TRACED = (0.08, 0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0)
 BETWEEN = 4
 # share of the light that a lobe may lose by what its facets reflect twice (the BSDF leaves it out)
 SWALLOWED = 0.3
+# of normals that are exact
+NO_SPREAD = np.zeros(1)
 # dielectric; dirt on metal, or a patch that holds both; metal
 METALLIC = np.array([0.0, 0.5, 1.0])
 
@@ -71,7 +73,10 @@ class LobeTable:
     roughnesses alone it would be sure of a wrong brightness;
     albedo (steps, 4): of every lobe;
     most_metallic (steps,): goes down where the lobe of a white metal loses more light than it may.
-    From there on it is no metal there is (Heitz et al. 2016), yet it makes a good dark wool.
+    From there on it is no metal there is (Heitz et al. 2016), yet it makes a good dark wool;
+    spreads (s,): what the normals about a point may spread by, per axis in radians, the likeliest
+    in the middle (normal_spread.py);
+    blurred (steps, s): the step of the lobe that each roughness step shows under each spread.
     """
 
     direct: list[torch.Tensor]
@@ -79,6 +84,8 @@ class LobeTable:
     roughness: tuple[float, ...]
     albedo: np.ndarray
     most_metallic: np.ndarray
+    spreads: np.ndarray
+    blurred: np.ndarray
 
     @classmethod
     def trace(
@@ -87,26 +94,38 @@ class LobeTable:
         roughness_min: float,
         seed: int,
         swallowed: float = SWALLOWED,
+        spreads: np.ndarray = NO_SPREAD,
     ) -> LobeTable:
         """Trace the lobes of `transport`'s rows at every roughness of TRACED from `roughness_min`
-        on; `swallowed`: share of the light that a metal's lobe may lose.
+        on; `swallowed`: share of the light that a metal's lobe may lose; `spreads`: as above.
         """
         traced = [r for r in TRACED if r >= roughness_min]
-        direct, off = [], []
-        for k, r in enumerate(traced):
-            F, G = transport.at(r, seed * 101 + k)
-            direct.append(torch.from_numpy(F))
-            off.append(G)
-
         steps = np.arange(BETWEEN * (len(traced) - 1) + 1) / BETWEEN
         log_roughness = np.interp(steps, np.arange(len(traced)), np.log(traced))
         roughness = tuple(np.exp(log_roughness).round(3).tolist())
+        shown = np.log(blurred_roughness(np.array(roughness)[:, None], spreads))
+        blurred = np.abs(shown[..., None] - log_roughness).argmin(-1)
+
+        direct, off = [], []
+        # sharper lobes than the first of these are never shown: it stands in their place
+        sharpest = blurred.min() // BETWEEN
+        for k, r in enumerate(traced[sharpest:], sharpest):
+            F, G = transport.at(r, seed * 101 + k)
+            direct.append(torch.from_numpy(F))
+            off.append(G)
+        direct = direct[:1] * sharpest + direct
+        off = off[:1] * sharpest + off
 
         albedo = interpolated(np.stack([lobe_albedo(r) for r in traced]))
         most_metallic = np.array(
             [METALLIC[METALLIC * (1 - white) <= swallowed].max() for _, _, white, _ in albedo]
         )
-        return cls(direct, off, roughness, albedo, most_metallic)
+        return cls(direct, off, roughness, albedo, most_metallic, spreads, blurred)
+
+    @property
+    def usual(self) -> int:
+        """Index of the likeliest spread."""
+        return len(self.spreads) // 2
 
     def at(self, step: int, rows: slice | torch.Tensor = slice(None)) -> torch.Tensor:
         """Light matrices (4, n, M) of some rows at one roughness step."""

@@ -19,12 +19,10 @@ from pipeline.posterior.split_gibbs.kind_moves import jump_kinds, label_odds
 from pipeline.posterior.split_gibbs.light_codes import Decoder
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, seen_by
 from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step
-from pipeline.posterior.split_gibbs.material_prior import (
-    log_alone,
-    log_prior,
-)
+from pipeline.posterior.split_gibbs.material_prior import log_alone, log_prior
 from pipeline.posterior.split_gibbs.metropolis import accepted
 from pipeline.posterior.split_gibbs.noise import draw_noise
+from pipeline.posterior.split_gibbs.normal_spread import draw_normal_spread
 from pipeline.posterior.split_gibbs.row_model import RowModel
 from pipeline.posterior.split_gibbs.state import Kernel, Noise, Randomness, RegionMaterials, State
 
@@ -134,8 +132,8 @@ def draw_offsets(
     offsets: np.ndarray,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """How every point lies off its region (2, p), one row of `coherence.OFFSETS` after the other,
-    given the labels of its neighbours.
+    """How every point's material lies off its region, in a copy of `offsets` (3, p): one row of
+    `coherence.OFFSETS` after the other, given the labels of its neighbours.
     """
     data = model.data
     offsets = offsets.copy()
@@ -260,8 +258,9 @@ class MaterialInfo(NamedTuple):
 def material_kernel(
     mixer: Mixer, decoder: Decoder, steps: int, proposal: Proposal = propose_all
 ) -> Kernel:
-    """Kernel (Step 4c, Step 5c): region materials, the points' offsets (with `propose_all`
-    only), then the spread of colours and the noise given the points' colours.
+    """Kernel (Step 4c, Step 5c): region materials, the points' offsets and the spread of their
+    normals (with `propose_all` only), then the spread of colours and the noise given the points'
+    colours.
     """
 
     def kernel(rng: Randomness, state: State) -> tuple[State, MaterialInfo]:
@@ -279,6 +278,7 @@ def material_kernel(
         )
         if whole:
             offsets = draw_offsets(model, seen, materials, offsets, rng.numpy)
+            materials, offsets = draw_normal_spread(model, seen, materials, offsets, rng.numpy)
 
         even, few, now = model.row_by_row(), steps // 3, state.spread_step
         materials, spread_step, _ = draw_regions(

@@ -20,7 +20,8 @@ from pipeline.posterior.problem import ALBEDO_MAX, Problem, generators
 from pipeline.posterior.split_gibbs.coherence import Neighbours
 from pipeline.posterior.split_gibbs.light_codes import COMPONENTS, Decoder, Modes, ModeUnknowns
 from pipeline.posterior.split_gibbs.likelihood import Mixer
-from pipeline.posterior.split_gibbs.lobes import TRACED, LobeTable
+from pipeline.posterior.split_gibbs.lobes import LobeTable
+from pipeline.posterior.split_gibbs.normal_spread import per_axis, spreads_about
 from pipeline.posterior.split_gibbs.regions import features, group, texel_regions
 from pipeline.posterior.split_gibbs.row_model import RowData, contrast
 from pipeline.posterior.split_gibbs.state import Noise, Randomness, RegionMaterials, State
@@ -101,18 +102,6 @@ def start_materials(
     )
 
 
-def sharpest(normal_error: float) -> float:
-    """Roughness of the sharpest lobe that normals of this median error (radians) can show.
-
-    Facets tilted by sigma per axis are a surface of alpha^2 = 2 sigma^2 (Beckmann; Olano and Baker
-    2010: variances of slopes add), alpha = roughness^2. A sharper lobe on such normals mirrors
-    another part of the light at every point, and so explains anything.
-    """
-    # the median length of two normal deviates is 1.18 sigma
-    sigma = normal_error / np.sqrt(2 * np.log(2))
-    return float(min((np.sqrt(2) * sigma) ** 0.5, TRACED[-2]))
-
-
 def block_weights(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """How much each point (p, 3) counts in this draw, mean 1: the same within a block of surface,
     gamma between blocks.
@@ -126,7 +115,10 @@ def block_weights(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def operator(
     problem: Problem, rows: Rows, settings: Sample, seed: int
 ) -> tuple[Transport, LobeTable]:
-    """T for these rows, and its lobes at every roughness that the mesh's normals can show."""
+    """T for these rows, and its lobes at every roughness, shown by normals as uncertain as the
+    mesh's are.
+    """
+    error = per_axis(problem.normal_error)
     transport = Transport(
         problem.renderer.scene,
         problem.renderer.mesh,
@@ -135,9 +127,10 @@ def operator(
         settings.light,
         round(NODES * len(rows.starts)),
         seed,
+        error,
     )
-    roughness_min = max(problem.roughness_min, sharpest(problem.normal_error))
-    return transport, LobeTable.trace(transport, roughness_min, seed)
+    spreads = spreads_about(error)
+    return transport, LobeTable.trace(transport, problem.roughness_min, seed, spreads=spreads)
 
 
 def row_data(
@@ -198,13 +191,15 @@ def set_up(
 
 
 def first_state(model: Model, materials: RegionMaterials) -> State:
-    """Plain noise, no offsets, the Gaussian prior's mean light."""
+    """Plain noise, no offsets, normals that spread as is usual, the Gaussian prior's mean light."""
     regions = len(materials)
+    offsets = np.zeros((3, len(model.data.region)), int)
+    offsets[2] = model.data.lobes.usual
     return State(
         code=model.gaussian.flat_mean,
         log_scale=model.log_scale_centre,
         materials=materials,
-        offsets=np.zeros((2, len(model.data.region)), int),
+        offsets=offsets,
         noise=Noise(FIRST_ERROR, np.ones(len(model.data.observed))),
         color_step=np.full(regions, FIRST_STEP),
         spread_step=np.full(regions, FIRST_STEP),

@@ -108,14 +108,16 @@ class Linear:
         self.known: dict[tuple[int, int], tuple[np.ndarray, torch.Tensor]] = {}
 
     def lobes(self, r: int, roughness: int) -> tuple[np.ndarray, torch.Tensor]:
-        """Region r's four lobes at a roughness step: under the light (4, n, 3), and under its modes
-        (3, 4, n, K).
+        """Region r's four lobes at a roughness step, its normals spreading as is usual: under the
+        light (4, n, 3), and under its modes (3, 4, n, K).
         """
-        if (r, roughness) not in self.known:
-            F = self.parts[r].lobes.at(roughness)
+        lobes = self.parts[r].lobes
+        shown = int(lobes.blurred[roughness, lobes.usual])
+        if (r, shown) not in self.known:
+            F = lobes.at(shown)
             under_modes = torch.stack([F @ change.T for change in self.moved])
-            self.known[r, roughness] = (F @ self.light).numpy(), under_modes
-        return self.known[r, roughness]
+            self.known[r, shown] = (F @ self.light).numpy(), under_modes
+        return self.known[r, shown]
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ def rows(transport) -> RowLikelihood:  # noqa: F811
         metallic=np.array([0.0, 0.8]),
     )
     noise = Noise(scale=0.2, weight=weight, design_effect=1.7)
-    return RowLikelihood.at(Mixer(data), noise, materials, np.zeros((2, POINTS), int))
+    return RowLikelihood.at(Mixer(data), noise, materials, np.zeros((3, POINTS), int))
 
 
 @pytest.fixture

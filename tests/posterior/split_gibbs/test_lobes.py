@@ -38,7 +38,7 @@ def test_light_off_the_object_equals_the_path_tracers(bowl, step, m, a):
         transport, lobes, np.ones((n, 3)), np.zeros(80, int), renderer.max_depth - 1
     )
     likelihood = RowLikelihood.at(
-        Mixer(data), Noise(0.3, np.ones(n)), one_material(a, step, m), np.zeros((2, 80), int)
+        Mixer(data), Noise(0.3, np.ones(n)), one_material(a, step, m), np.zeros((3, 80), int)
     )
     U, W = likelihood.predict(light.reshape(-1, 3))
     renderer.set(uniform(light, lobes.roughness[step], m, a))
@@ -80,5 +80,5 @@ def test_metals_are_no_rougher_than_their_lobe_keeps_light(transport):
     n = len(transport.rows.point)
     data = RowData.plain(transport, lobes, np.ones((n, 3)), np.zeros(2, int), 1)
     rough = one_material(0.5, len(most) - 1, 0.0)
-    offsets = np.array([[0, 0], [0, OTHER]])
+    offsets = np.array([[0, 0], [0, OTHER], [0, 0]])
     np.testing.assert_allclose(point_materials(data, rough, offsets)[1], [0, 0])

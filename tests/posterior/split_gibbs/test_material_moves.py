@@ -56,7 +56,9 @@ SILENT = SimpleNamespace(
         observed=np.array([[0.3, 0.2, 0.1], [0.6, 0.6, 0.6]]),
         clipped=np.zeros(2, bool),
         rows=SimpleNamespace(point=np.array([0, 1])),
-        lobes=SimpleNamespace(roughness=ROUGHNESS, most_metallic=MOST_METALLIC),
+        lobes=SimpleNamespace(
+            roughness=ROUGHNESS, most_metallic=MOST_METALLIC, blurred=np.arange(8)[:, None]
+        ),
         neighbours=Neighbours.none(2),
     ),
     precision=np.ones((2, 3)),
@@ -131,7 +133,7 @@ def test_moves_leave_the_prior_as_it_is():
     """
     rng = np.random.default_rng(0)
     many, first = from_the_prior(40_000, rng), from_the_prior(1250, rng)
-    seen, offsets, step = lobes_seen(), np.zeros((2, 2), int), np.full(2, 0.5)
+    seen, offsets, step = lobes_seen(), np.zeros((3, 2), int), np.full(2, 0.5)
 
     def moved_on(t: RegionMaterials) -> RegionMaterials:
         at = offsets
@@ -243,7 +245,7 @@ def test_jumps_keep_what_the_photos_show():
     """The colour of the other kind is drawn about the one that sends what the photo shows; its
     density there and back is Student's t of log colour.
     """
-    rng, seen, offsets = np.random.default_rng(3), lobes_seen(), np.zeros((2, 2), int)
+    rng, seen, offsets = np.random.default_rng(3), lobes_seen(), np.zeros((3, 2), int)
     sent_over_shown, kinds = [], []
     for _ in range(400):
         now = replace(some_materials(2, rng), metallic=rng.choice([0.0, 1.0], 2))
@@ -291,7 +293,11 @@ class Two:
         self.data = SimpleNamespace(
             region=np.repeat([0, 1], 60),
             rows=SimpleNamespace(point=np.arange(120)),
-            lobes=SimpleNamespace(roughness=range(steps), most_metallic=np.ones(steps)),
+            lobes=SimpleNamespace(
+                roughness=range(steps),
+                most_metallic=np.ones(steps),
+                blurred=np.arange(steps)[:, None],
+            ),
             neighbours=neighbours or Neighbours.none(120),
         )
         self.targets, self.sharpness = targets, sharpness
@@ -316,8 +322,8 @@ def plain_regions() -> RegionMaterials:
 
 
 def drawn_offsets(targets, sharpness, rng) -> np.ndarray:
-    """Offsets (2, 120), beginning with none."""
-    none = np.zeros((2, 120), int)
+    """Offsets (3, 120), beginning with none."""
+    none = np.zeros((3, 120), int)
     found = draw_offsets(Two(targets, sharpness), steps_seen(), plain_regions(), none, rng)
     assert not none.any()
     return found
@@ -347,8 +353,8 @@ def test_points_without_photos_follow_their_own_odds():
 
 def test_offsets_stay_among_the_roughnesses_there_are_and_turn_kinds():
     data = Two(np.zeros(120), 0.0).data
-    far = np.stack([np.full(120, 99), np.full(120, OTHER)])
+    far = np.stack([np.full(120, 99), np.full(120, OTHER), np.zeros(120, int)])
     roughness, metallic = point_materials(data, plain_regions(), far)
     assert (roughness == 8 * BETWEEN - 1).all() and (metallic == 1).all()
-    half = np.stack([np.zeros(120, int), np.arange(120) % 2])
+    half = np.stack([np.zeros(120, int), np.arange(120) % 2, np.zeros(120, int)])
     assert set(point_materials(data, plain_regions(), half)[1]) == {0.0, 0.5}

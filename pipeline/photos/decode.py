@@ -1,0 +1,265 @@
+"""A photo's file as upright pixels, what their numbers mean, and the facts of its EXIF.
+
+Pixels stay as the file holds them (8 or 16 bits) until they are scaled down: a photo of 48
+megapixels is 150 MB that way, and 600 MB as floats.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import cv2
+import numpy as np
+from PIL import Image, ImageCms, ImageOps
+
+from pipeline.base.errors import InputError
+from pipeline.base.images import read_exr
+from pipeline.photos import colour_space
+from pipeline.photos.colour_space import LINEAR, SRGB, ColourSpace, UnknownProfile
+
+HEIF = (".heic", ".heif", ".hif")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr", *HEIF)
+ORIENTATION = 0x0112
+EXIF_IFD = 0x8769
+INTEROPERABILITY_IFD = 0xA005
+COLOUR_SPACE = 0xA001  # of EXIF: 1 sRGB, 2 Adobe RGB (not in the standard), 65535 other
+ORIENTED: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.swapaxes(0, 1),
+    6: lambda a: np.rot90(a, 3),
+    7: lambda a: np.rot90(a, 2).swapaxes(0, 1),
+    8: lambda a: np.rot90(a, 1),
+}
+# pycolmap brings its own libpng and zlib: if it is loaded first, OpenCV binds to a mixture of both
+# and aborts at its first PNG. One round trip here, before any stage loads pycolmap, binds OpenCV to
+# its own.
+cv2.imdecode(cv2.imencode(".png", np.zeros((2, 2), np.uint16))[1], cv2.IMREAD_UNCHANGED)
+
+
+@dataclass
+class Photo:
+    """A decoded file. pixels (h, w, 3 or 4), upright: uint8 or uint16 of full scale, encoded as
+    `space` says; or float32, linear (EXR). facts: from EXIF, and under `note` what was converted.
+    """
+
+    pixels: np.ndarray
+    space: ColourSpace
+    facts: dict
+
+    @property
+    def full_scale(self) -> float:
+        """The number that stands for 1."""
+        integers = np.issubdtype(self.pixels.dtype, np.integer)
+        return float(np.iinfo(self.pixels.dtype).max) if integers else 1.0
+
+
+def decode(path: Path, profiles: bool = True) -> Photo:
+    """Read a photo. profiles: whether colour profiles count; without, all but EXR is sRGB.
+
+    Raises InputError naming the file if it is damaged, holds NaN, or is encoded in a way that does
+    not lead back to light.
+    """
+    if path.suffix.lower() == ".exr":
+        return _decode_exr(path)
+    try:
+        data = path.read_bytes()
+        heif = path.suffix.lower() in HEIF
+        return _decode_heif(data, profiles) if heif else _decode_common(path, data, profiles)
+    except UnknownProfile as error:
+        raise InputError(
+            f"its colours cannot be converted: {error}",
+            path,
+            "export it as sRGB, or set `capture: {encoding: srgb}` to read it as if it were",
+        ) from error
+    except (
+        OSError,
+        SyntaxError,
+        ValueError,
+        EOFError,
+        ImageCms.PyCMSError,
+        Image.DecompressionBombError,
+    ) as error:
+        raise InputError(
+            f"the photo cannot be read ({error})",
+            path,
+            "copy it again from the camera, or remove it",
+        ) from error
+
+
+def _decode_exr(path: Path) -> Photo:
+    pixels = read_exr(path)
+    if not np.isfinite(pixels).all():
+        raise InputError(
+            "the picture holds NaN or infinity",
+            path,
+            "export it again without them, or leave it out",
+        )
+    if pixels.ndim == 2:
+        pixels = np.repeat(pixels[..., None], 3, -1)
+    return Photo(pixels, LINEAR, {})
+
+
+def _decode_common(path: Path, data: bytes, profiles: bool) -> Photo:
+    """JPEG, PNG and TIFF. Pillow and OpenCV both turn a TIFF by themselves and neither a PNG;
+    Pillow drops the tag where it has turned, so it is read after `load`.
+    """
+    with Image.open(io.BytesIO(data)) as image:
+        image.load()  # Pillow refuses truncated files, OpenCV would not
+        tags = image.getexif()
+        facts = _exif_facts(tags)
+        space = SRGB
+        unknown = None
+        if profiles:
+            try:
+                space = _space(image.info.get("icc_profile"), tags)
+            except UnknownProfile as error:
+                unknown = error
+
+        deep = None
+        if not path.suffix.lower().startswith(".jp"):
+            deep = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        if deep is not None and deep.dtype == np.uint16:
+            if unknown:
+                raise unknown
+            pixels = deep[..., [2, 1, 0, 3][: deep.shape[2]]] if deep.ndim == 3 else deep
+            notes = ["16 bit"]
+        elif unknown or image.mode == "CMYK":
+            pixels, note = _by_colour_engine(image, unknown)
+            space = SRGB
+            notes = [note]
+        else:
+            pixels = _rgb(image)
+            notes = []
+
+    if space is not SRGB:
+        notes.append(space.name)
+    return _upright(pixels, space, facts, notes, tags.get(ORIENTATION, 1))
+
+
+def _decode_heif(data: bytes, profiles: bool) -> Photo:
+    """HEIC and HEIF, 8 to 12 bits. libheif turns the picture as its container says; the tag of its
+    EXIF repeats that and is not applied again.
+    """
+    import pi_heif
+
+    image = pi_heif.open_heif(data, convert_hdr_to_8bit=False)
+    tags = Image.Exif()
+    if image.info.get("exif"):
+        tags.load(image.info["exif"])
+
+    pixels = np.array(image)  # a copy: libheif's memory goes with `image`
+    notes = [] if pixels.dtype == np.uint8 else [f"{image.info['bit_depth']} bit"]
+    space = SRGB
+    if profiles:
+        points = image.info.get("nclx_profile")
+        if image.info.get("icc_profile"):
+            space = colour_space.of_icc(image.info["icc_profile"])
+        elif points:
+            space = colour_space.of_code_points(
+                points["color_primaries"], points["transfer_characteristics"]
+            )
+    if space is not SRGB:
+        notes.append(space.name)
+    return _upright(pixels, space, _exif_facts(tags), notes, 1)
+
+
+def _upright(
+    pixels: np.ndarray, space: ColourSpace, facts: dict, notes: list[str], orientation: int
+) -> Photo:
+    """Three channels or four, turned as EXIF says. 0 and what the standard does not know mean as it
+    is.
+    """
+    if pixels.ndim == 2:
+        pixels = np.repeat(pixels[..., None], 3, -1)
+    elif pixels.shape[2] == 2:
+        pixels = pixels[..., [0, 0, 0, 1]]
+    turned = ORIENTED.get(orientation, lambda a: a)(pixels)
+    note = {"note": ", ".join(notes)} if notes else {}
+    return Photo(np.ascontiguousarray(turned), space, facts | note)
+
+
+def _space(profile: bytes | None, tags: Image.Exif) -> ColourSpace:
+    """Colour space by the embedded profile, else by EXIF, else sRGB."""
+    if profile:
+        return colour_space.of_icc(profile)
+
+    marked = tags.get_ifd(EXIF_IFD).get(COLOUR_SPACE)
+    index = str(tags.get_ifd(INTEROPERABILITY_IFD).get(1, "")).strip("\0 ")
+    if marked == 2 or index == "R03":
+        return colour_space.adobe_rgb()
+    return SRGB
+
+
+def _rgb(image: Image.Image) -> np.ndarray:
+    """A Pillow image as uint8 (h, w, 3 or 4)."""
+    if image.mode in ("F", "I"):
+        raise ValueError(
+            f"32 bits per channel (Pillow mode {image.mode}): save linear pictures as EXR"
+        )
+    alpha = image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
+    return np.asarray(image.convert("RGBA" if alpha else "RGB"))
+
+
+def _by_colour_engine(image: Image.Image, unknown: UnknownProfile | None) -> tuple[np.ndarray, str]:
+    """A picture whose profile holds tables, as sRGB of 8 bits by Little CMS; and a note."""
+    profile = image.info.get("icc_profile")
+    if not profile:
+        return np.asarray(image.convert("RGB")), "CMYK without a profile, by the plain formula"
+    if image.mode not in ("CMYK", "RGB", "L"):
+        raise unknown or UnknownProfile(f"a profile with a picture of mode {image.mode}")
+
+    source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+    target = ImageCms.createProfile("sRGB")
+    converted = ImageCms.profileToProfile(image, source, target, outputMode="RGB")
+    return np.asarray(cast(Image.Image, converted)), f"{image.mode} by its ICC profile's tables"
+
+
+def _exif_facts(tags: Image.Exif) -> dict:
+    """Exposure and focal length from EXIF; missing or zero values are left out."""
+    ifd = tags.get_ifd(EXIF_IFD)
+    number = lambda key: (
+        float(ifd[key]) if key in ifd and ifd[key] and float(ifd[key]) > 0 else None
+    )
+    iso = ifd.get(0x8827)
+    iso = float(iso[0] if isinstance(iso, tuple) else iso) if iso else None
+    facts = {
+        "make": str(tags.get(0x010F, "")).strip("\0 "),
+        "model": str(tags.get(0x0110, "")).strip("\0 "),
+        "focal_35mm": number(0xA405),
+        "focal_mm": number(0x920A),
+        "time": number(0x829A),
+        "f_number": number(0x829D),
+        "iso": iso,
+    }
+    return {k: v for k, v in facts.items() if v}
+
+
+def read_mask(file: Path, size: tuple[int, int]) -> np.ndarray:
+    """A mask that the user gave, uint8 (h, w), upright. `size`: its photo's width and height.
+
+    Raises InputError if it cannot be read, has another size or is all black.
+    """
+    try:
+        with Image.open(file) as image:
+            mask = np.asarray(ImageOps.exif_transpose(image).convert("L"))
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(
+            f"the mask cannot be read ({error})", file, "save it again as PNG"
+        ) from error
+    if mask.shape != size[::-1]:
+        raise InputError(
+            f"the mask is {mask.shape[1]}x{mask.shape[0]}, its photo {size[0]}x{size[1]}",
+            file,
+            "save the mask at the photo's size",
+        )
+    if mask.max() < 128:
+        raise InputError(
+            "the mask is all black", file, "paint the object white, or delete the mask"
+        )
+    return mask

@@ -1,0 +1,141 @@
+"""Does the light move with the camera? An object on a turntable before a fixed camera and lamp, or
+a flash on the camera.
+
+One distant light around the object explains photos of a static scene only. Structure from motion
+cannot tell the two apart, for it sees relative motion. Brightness can. Let d be the angle, about
+the vertical axis, from a point's own middle view to a view. In static light a matt point keeps its
+brightness over d. In light that moves with the camera every point brightens and darkens as it
+turns past the lamp, and all points by the same course f(d). The evidence is the share of the
+variance of matched points' log brightness, each less its own mean, that one common
+
+    f(d) = a sin d + b cos d + c sin 2d + e cos 2d
+
+explains. Gloss is no evidence: in static light each point has its highlight at another d.
+
+Where the light moves, the cameras' path says which of the two it is: a turntable's cameras stand on
+a circle to within a fraction of a per cent, hand-held ones to within ten.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.geometry.cameras import View
+
+MOVING = 0.1  # explained share from which the light moves with the camera
+CIRCLE = 0.02  # deviation from a circle, over its radius, up to which it is a turntable's
+FEWEST_VIEWS = 8
+FEWEST_POINTS = 100
+SEEN_BY = 4  # views of a point
+
+
+@dataclass
+class LightMotion:
+    """explained: share of variance that turning past the lamp explains, None where too few points
+    were matched; points: how many were; circle: the cameras' deviation from a circle over its
+    radius.
+    """
+
+    explained: float | None
+    points: int
+    circle: float
+
+    @property
+    def moves(self) -> bool:
+        return self.explained is not None and self.explained > MOVING
+
+    def facts(self) -> dict:
+        return asdict(self) | {"moves_with_camera": self.moves}
+
+
+def light_motion(
+    views: list[View], level: np.ndarray, xyz: np.ndarray, center: np.ndarray, radius: float
+) -> LightMotion:
+    """Evidence from matched points xyz (n, 3) within the object's sphere. level: their log2
+    brightness (views, n) less the photos' gains, NaN where unknown.
+    """
+    positions = np.stack([v.position for v in views])
+    up = -np.stack([v.world_to_camera[1, :3] for v in views]).mean(0)
+    up /= np.linalg.norm(up)
+
+    on_object = np.linalg.norm(xyz - center, axis=1) < radius
+    use = on_object & (np.isfinite(level).sum(0) >= SEEN_BY)
+    explained = None
+    if len(views) >= FEWEST_VIEWS and use.sum() >= FEWEST_POINTS:
+        explained = explained_by_turning(level[:, use], azimuths(positions - center, up))
+    return LightMotion(explained, int(use.sum()), off_circle(positions))
+
+
+def azimuths(offsets: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Angle (n,) in radians about the unit vector `up` of offsets (n, 3) from the axis."""
+    side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    side /= np.linalg.norm(side)
+    return np.arctan2(offsets @ np.cross(up, side), offsets @ side)
+
+
+def explained_by_turning(level: np.ndarray, azimuth: np.ndarray) -> float:
+    """Share of the variance of log brightness (views, points), NaN where unknown, each point less
+    its mean, that f(d) explains. azimuth: (views,). Outliers are drawn in to three deviations.
+    """
+    seen = np.isfinite(level)
+    count = seen.sum(0)
+    centred = lambda a: (a - np.where(seen, a, 0).sum(0) / count)[seen]
+
+    direction = np.exp(1j * azimuth)[:, None]
+    middle = np.angle((seen * direction).sum(0))
+    d = azimuth[:, None] - middle
+    basis = np.stack([centred(f) for f in (np.sin(d), np.cos(d), np.sin(2 * d), np.cos(2 * d))], 1)
+
+    rest = centred(level)
+    limit = 3 * 1.4826 * np.median(np.abs(rest))
+    rest = rest.clip(-limit, limit)
+    if not rest.any():
+        return 0.0
+    course = np.linalg.lstsq(basis, rest, rcond=None)[0]
+    return float(1 - ((rest - basis @ course) ** 2).sum() / (rest**2).sum())
+
+
+def off_circle(positions: np.ndarray) -> float:
+    """Root mean square distance of points (n, 3) from their best circle, over its radius."""
+    centred = positions - positions.mean(0)
+    _, _, axes = np.linalg.svd(centred, full_matrices=False)
+    flat = centred @ axes[:2].T
+    system = np.concatenate([2 * flat, np.ones((len(flat), 1))], 1)
+    x, y, rest = np.linalg.lstsq(system, (flat**2).sum(1), rcond=None)[0]
+
+    radius = np.sqrt(max(rest + x * x + y * y, 1e-12))
+    radial = np.hypot(flat[:, 0] - x, flat[:, 1] - y) - radius
+    return float(np.sqrt((radial**2 + (centred @ axes[2]) ** 2).mean()) / radius)
+
+
+def check(motion: LightMotion, where: str, accept: bool) -> list[str]:
+    """What to tell the user: nothing, or, where the light moves and `accept` is set, one warning.
+
+    Raises InputError where the light moves and `accept` is not set.
+    """
+    if not motion.moves:
+        return []
+
+    turntable = motion.circle < CIRCLE
+    kind = (
+        "the object was turned before a fixed camera and lamp (the cameras stand on a circle to "
+        f"within {100 * motion.circle:.1f} %)"
+        if turntable
+        else "a lamp or flash moves with the camera"
+    )
+    text = (
+        f"the light moves with the camera: {100 * (motion.explained or 0):.0f} % of what changes "
+        f"in brightness follows the turn past the lamp (static light: below 3 %); {kind}. No one "
+        "light around the object explains such photos"
+    )
+    if accept:
+        return [f"{text}: light and materials of the asset are not to be trusted"]
+    raise InputError(
+        text,
+        where,
+        "photograph a resting object in resting light and walk around it, or set "
+        "`poses: {moving_light: accept}` to have mesh and textures all the same",
+    )

@@ -1,0 +1,204 @@
+"""The base colour map that the photos show, given what the light gives to every pixel.
+
+L = a D + S is linear in the base colour a, so a texel's colour is a = sum w (y - S) / sum w D over
+the pixels y that see it. Few pixels are noisy and may all show one highlight: a texel therefore
+also counts some pixels' worth of what the texels around it show, coarse to fine over a pyramid.
+
+A mean over pixels is blurred by their size. Adding what the mean leaves over, again and again
+(back-projection), sharpens it; that helps where cameras and surface are right to a fraction of a
+texel and harms everywhere else. How sharp the map may be is what predicts photos best that it was
+not made from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pipeline.posterior.problem import ALBEDO_MAX, SHADE
+from pipeline.posterior.shading import Shading
+from pipeline.posterior.textures import bilinear_matrix, fill, seen_texels
+from pipeline.render.observe import Observations
+
+COARSEST = 32  # side of the pyramid's smallest map
+# relative errors at which a pixel loses half its weight, one solve after the other: the first must
+# not lock in what a mean over all pixels says
+CONTRADICTIONS = (1.0, 0.5, 0.25, 0.25)
+EVERY = 5  # one view of so many judges how sharp the map may be
+
+
+@dataclass(frozen=True)
+class Sharpness:
+    """around: pixels that a texel's surroundings count as, at every level of the pyramid; passes:
+    back-projections after the mean.
+    """
+
+    around: float
+    passes: int
+
+
+USUAL = Sharpness(2.0, 0)
+CHOICES = (Sharpness(4.0, 0), USUAL, Sharpness(1.0, 1), Sharpness(0.5, 3))
+
+
+@dataclass
+class TexelSums:
+    """Sums over the pixels of every texel of a map: of w (y - S) and of w D, both (t, t, 3); and
+    how many pixels there are, (t, t, 1).
+    """
+
+    color: np.ndarray
+    shading: np.ndarray
+    pixels: np.ndarray
+
+    def halved(self) -> TexelSums:
+        """The map of half the side."""
+        total = lambda image: np.add.reduce([image[i::2, j::2] for i in (0, 1) for j in (0, 1)])
+        return TexelSums(total(self.color), total(self.shading), total(self.pixels))
+
+
+def larger(image: np.ndarray, side: int) -> np.ndarray:
+    """A map (t, t, 3) at the size (side, side, 3)."""
+    return cv2.resize(image.astype(np.float32), (side, side)).reshape(side, side, 3)
+
+
+def coarse_to_fine(sums: TexelSums, around: float) -> np.ndarray:
+    """Colours (t, t, 3): every level's means, with the next coarser level's colour counted as
+    `around` pixels. Where no pixel is, the coarser level's.
+    """
+    levels = [sums]
+    while levels[-1].pixels.shape[0] % 2 == 0 and levels[-1].pixels.shape[0] > COARSEST:
+        levels.append(levels[-1].halved())
+
+    total = lambda image: image.sum((0, 1), keepdims=True)
+    whole = TexelSums(*(total(image) for image in (sums.color, sums.shading, sums.pixels)))
+    color = whole.color / np.maximum(whole.shading, 1e-9)
+    shading = whole.shading / np.maximum(whole.pixels, 1e-9)  # of one pixel, around each texel
+    for level in reversed(levels):
+        side = level.pixels.shape[0]
+        color = larger(color, side)
+        shading = larger(shading, side)
+
+        weight = around * shading
+        color = (level.color + weight * color) / np.maximum(level.shading + weight, 1e-9)
+        shading = (level.shading + shading) / (level.pixels + 1)
+    return color
+
+
+def error_weight(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:
+    """Weight (n, 3) that makes a difference photo - picture count as that of log(. + SHADE), the
+    data term's relative error, does: a photo ten times as bright as the others does not count ten
+    times as much.
+    """
+    floored = np.maximum(picture, 0) + SHADE
+    more = (np.maximum(photo, 0) - np.maximum(picture, 0)) / floored
+    small = np.abs(more) < 1e-3
+    secant = np.log1p(more) / np.where(small, 1, more)
+    return np.where(small, 1, secant) / floored**2
+
+
+class ColorSolver:
+    """Base colour maps of side `size` for one shading of the observed pixels."""
+
+    def __init__(self, observations: Observations, shading: Shading, size: int):
+        self.observations = observations
+        self.shading = shading
+        self.size = size
+        self.at_pixels = bilinear_matrix(observations.uv, size)
+        self.at_texels = self.at_pixels.T.tocsr()
+        # grazing views smear: their pixels cover many texels
+        self.cosine: np.ndarray = observations.cosine[:, None].astype(np.float32)
+
+    def onto(self, values: np.ndarray) -> np.ndarray:
+        """Sums (t, t, c) over each texel's pixels of values (n, c)."""
+        return (self.at_texels @ values).reshape(self.size, self.size, -1)
+
+    def picture(self, color: np.ndarray) -> np.ndarray:
+        """Radiance (n, 3) of all pixels."""
+        scaled = self.at_pixels @ color.reshape(-1, 3)
+        return (scaled * self.shading.scaled + self.shading.rest).astype(np.float32)
+
+    def photo(self, picture: np.ndarray) -> np.ndarray:
+        """What the photos say (n, 3); where they are saturated, the larger of it and `picture`."""
+        seen = self.observations.rgb
+        clipped = self.observations.clipped[:, None]
+        return np.where(clipped, np.maximum(seen, picture), seen)
+
+    def mean(self, weight: np.ndarray, photo: np.ndarray, sharpness: Sharpness) -> np.ndarray:
+        """Colours (t, t, 3) of the photos (n, 3), pixels weighted by (n, 3)."""
+        lit = self.onto(weight * self.shading.scaled)
+        pixels = self.onto(np.asarray(weight[:, :1] > 0, np.float32))
+        color = np.zeros((self.size, self.size, 3), np.float32)
+        for _ in range(1 + sharpness.passes):
+            left = self.onto(weight * (photo - self.picture(color)))
+            color = color + coarse_to_fine(TexelSums(left, lit, pixels), sharpness.around)
+            color = np.clip(color, 0, ALBEDO_MAX).astype(np.float32)
+        return color
+
+    def robust(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Usual colours (t, t, 3), the pixels' weights (n, 3), and the mean squared relative error
+        of the picture that `begin` makes.
+
+        Weights forget pixels which other views contradict (Geman-McClure, its width shrinking):
+        occlusion edges, slightly wrong cameras, highlights in the wrong place.
+        """
+        color = begin
+        trust = self.cosine  # the first solve trusts all pixels: its errors are those of `begin`
+        losses: list[float] = []
+        for contradiction in CONTRADICTIONS:
+            picture = self.picture(color)
+            photo = self.photo(picture)
+            relative = (photo - picture) / (photo + SHADE)
+            if losses:
+                off = np.abs(relative).mean(1, keepdims=True) / contradiction
+                trust = self.cosine / (1 + off**2)
+            losses.append(float((relative**2).mean()))
+
+            weight = (trust * error_weight(picture, photo)).astype(np.float32)
+            color = self.mean(weight, photo, USUAL)
+        return color, weight, losses[0]
+
+    def sharpest_that_holds(self, weight: np.ndarray, photo: np.ndarray) -> Sharpness:
+        """Of CHOICES the one whose map, made from the other views with the pixels' `weight` (n, 3),
+        explains every EVERY-th best; there all pixels count, as they do in a score.
+        """
+        judge = (self.observations.view % EVERY == 0)[:, None]
+        if judge.all() or not judge.any():
+            return USUAL
+
+        made_from = np.where(judge, 0, weight)
+        errors = []
+        for sharpness in CHOICES:
+            picture = self.picture(self.mean(made_from, photo, sharpness))
+            relative = np.log((np.maximum(picture, 0) + SHADE) / (photo + SHADE))
+            errors.append(float((relative[judge[:, 0]] ** 2).mean()))
+        return CHOICES[int(np.argmin(errors))]
+
+
+def color_map(
+    observations: Observations,
+    shading: Shading,
+    begin: np.ndarray,
+    sharpness: Sharpness | None = None,
+) -> tuple[np.ndarray, dict]:
+    """Base colour map (t, t, 3) by robust means, from `begin` (t, t, 3). Without `sharpness` it is
+    chosen.
+
+    Texels that no pixel falls on take the nearest seen one's colour. Facts: `loss`, the mean
+    squared relative error of the picture that `begin` makes; the sharpness.
+    """
+    size = begin.shape[0]
+    solver = ColorSolver(observations, shading, size)
+    color, weight, loss = solver.robust(begin)
+
+    photo = solver.photo(solver.picture(color))
+    if sharpness is None:
+        sharpness = solver.sharpest_that_holds(weight, photo)
+    color = solver.mean(weight, photo, sharpness)
+    return fill(color, seen_texels(observations.uv, size)), {
+        "loss": loss,
+        "around": sharpness.around,
+        "passes": sharpness.passes,
+    }

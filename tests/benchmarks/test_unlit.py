@@ -1,0 +1,142 @@
+"""The unlit yardstick: the baked texture, its score on held-out views, and the row of a scene."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from benchmarks.unlit import PhotoPixels, bake, picture, row, score_unlit
+from pipeline.base.errors import InputError
+from pipeline.base.files import write_json
+from pipeline.base.images import linear_to_srgb, srgb_to_linear, write_exr, write_png
+from pipeline.geometry.cameras import Rig, save_cameras
+from pipeline.posterior.textures import gather
+from pipeline.render.observe import Tracer
+
+SIZE = 48  # of the photos
+TEXELS = 64
+
+
+def painted(uv):
+    """A smooth sRGB colour for each texture coordinate."""
+    u, v = uv.T
+    return np.stack([0.3 + 0.4 * u, 0.6 - 0.3 * v, 0.5 + 0.2 * np.sin(6 * u)], -1)
+
+
+@pytest.fixture
+def scattered():
+    """Pixels all over the texture, showing `painted`."""
+    uv = np.random.default_rng(0).random((60_000, 2)).astype(np.float32)
+    return PhotoPixels(uv, painted(uv).astype(np.float32), np.ones(len(uv), np.float32))
+
+
+def test_the_texture_is_what_pixels_show(scattered):
+    texture, seen = bake(scattered, TEXELS)
+    inner = scattered.uv[(np.abs(scattered.uv - 0.5) < 0.45).all(1)]
+    assert seen.all()
+    assert np.abs(gather(texture, inner) - painted(inner)).max() < 0.02
+
+
+def test_a_minority_of_wrong_pixels_is_forgotten(scattered):
+    wrong = np.random.default_rng(1).random(len(scattered.uv)) < 0.2
+    scattered.color[wrong] = 1
+    texture, _ = bake(scattered, TEXELS)
+    error = np.abs(gather(texture, scattered.uv) - painted(scattered.uv)).mean()
+    plain_mean = 0.2 * np.abs(1 - painted(scattered.uv)).mean()
+    assert error < 0.4 * plain_mean
+
+
+def test_the_better_view_of_a_texel_counts_for_more():
+    uv = np.full((2, 2), 0.5, np.float32)
+    color = np.array([[0.5, 0.5, 0.5], [0.52, 0.52, 0.52]], np.float32)
+    texture, seen = bake(PhotoPixels(uv, color, np.array([0.9, 0.3], np.float32)), 8)
+    np.testing.assert_allclose(texture[seen], 0.505, atol=2e-4)
+    np.testing.assert_allclose(texture, 0.505, atol=2e-4)  # texels not shown take the nearest one's
+
+
+@pytest.fixture
+def work(tmp_path, ball, ring):
+    """A scene's folder as after the refine stage: a ball that is painted, and looks the same from
+    everywhere.
+    """
+    folder = tmp_path / "ball"
+    for name in ("poses/images", "mesh/masks", "observe", "refine/0", "benchmarks"):
+        (folder / name).mkdir(parents=True)
+    shutil.copytree(ball, folder / "atlas")
+    views = ring(8, SIZE)
+    save_cameras(folder / "poses" / "cameras.json", Rig(views, np.zeros(3), 0.6, "given"))
+
+    tracer = Tracer(folder / "atlas" / "mesh_uv.ply")
+    columns, rows = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
+    centres = np.stack([columns.ravel(), rows.ravel()], -1) + 0.5
+    for view in views:
+        uv, _, hit = tracer.hit(*view.rays(centres))
+        color = np.where(hit[:, None], srgb_to_linear(painted(uv)), 0).reshape(SIZE, SIZE, 3)
+        write_exr(folder / "poses" / view.image, color.astype(np.float32))
+        mask = hit.reshape(SIZE, SIZE).astype(np.uint8) * 255
+        write_png(folder / "mesh" / "masks" / f"{view.name}.png", mask)
+
+    names = np.array([view.name for view in views])
+    none = np.zeros(0)
+    columns = dict.fromkeys(("view", "pixel", "rgb", "clipped", "uv", "cosine"), none)
+    file = folder / "observe" / "observations.npz"
+    np.savez(file, **columns, views=names[1:], held_out=names[:1])
+
+    write_exr(folder / "refine" / "0" / "metallic.exr", np.full((TEXELS, TEXELS), 0.9, np.float32))
+    write_exr(folder / "refine" / "0" / "roughness.exr", np.full((TEXELS, TEXELS), 0.3, np.float32))
+    scores = {"held_out_psnr": 20.0, "held_out": {"v0": 20.0}}
+    write_json(folder / "refine" / "0" / "refine.json", scores)
+    atlas = {"charts": 9, "utilisation": 0.6, "faces": 100}
+    write_json(folder / "atlas" / "atlas.json", atlas)
+    table = "s\th:m:s\tcpu_time\n12.5\t0:00:12\t20.0\n"
+    (folder / "benchmarks" / "mesh.tsv").write_text(table)
+    return folder
+
+
+def test_what_looks_the_same_from_everywhere_is_predicted(work):
+    scores, seen = score_unlit(work, TEXELS, erode=1.5)
+    assert list(scores["robust"]) == ["v0"]
+    assert scores["robust"]["v0"] > 32 and scores["plain"]["v0"] > 32
+    assert 0.1 < seen.mean() < 0.9
+
+
+def test_the_score_is_that_of_the_held_out_photo(work):
+    """A held-out photo brighter by .1 in sRGB is missed by just that."""
+    from pipeline.base.images import read_exr
+
+    file = work / "poses" / "images" / "v0.exr"
+    write_exr(file, srgb_to_linear(linear_to_srgb(read_exr(file)) + 0.1))
+    scores, _ = score_unlit(work, TEXELS, erode=1.5)
+    assert scores["robust"]["v0"] == pytest.approx(20.0, abs=0.3)
+
+
+def test_pixels_beside_the_mesh_are_black(work, ring):
+    view = ring(8, SIZE)[0]
+    texture = np.full((8, 8, 3), 0.5, np.float32)
+    mask = np.zeros((SIZE, SIZE), bool)
+    mask[0, 0] = mask[SIZE // 2, SIZE // 2] = True
+    found = picture(view, mask, texture, Tracer(work / "atlas" / "mesh_uv.ply"))
+    assert found[0, 0].max() == 0
+    np.testing.assert_allclose(found[SIZE // 2, SIZE // 2], srgb_to_linear(0.5), rtol=1e-5)
+    assert (found.max(-1) > 0).sum() == 1
+
+
+def test_lit_and_unlit_stand_side_by_side(work):
+    found = row(work, erode=1.5)
+    assert found["scene"] == "ball"
+    assert found["lit_psnr"] == 20
+    assert found["gain"] == pytest.approx(20 - found["unlit_psnr"])
+    assert found["samples"][0]["metallic_median"] == pytest.approx(0.9)
+    assert found["samples"][0]["roughness_median"] == pytest.approx(0.3)
+    assert found["mesh_seconds"] == 12.5 and found["cpu_seconds"] == {"mesh": 20.0}
+    assert found["charts"] == 9 and found["utilisation"] == 0.6
+
+
+def test_scores_of_other_views_are_not_compared(work):
+    file = work / "refine" / "0" / "refine.json"
+    write_json(file, {"held_out_psnr": 20.0, "held_out": {"v3": 20.0}})
+    with pytest.raises(InputError, match="other views"):
+        row(work, erode=1.5)
+    shutil.rmtree(work / "refine" / "0")
+    with pytest.raises(InputError, match="no refined sample"):
+        row(work, erode=1.5)

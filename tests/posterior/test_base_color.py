@@ -1,0 +1,150 @@
+"""The base colour from given shading: robust means, and how sharp they may be."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pipeline.posterior.base_color import (
+    CHOICES,
+    ColorSolver,
+    TexelSums,
+    coarse_to_fine,
+    color_map,
+    error_weight,
+)
+from pipeline.posterior.material_optimizer import MaterialOptimizer
+from pipeline.posterior.problem import SHADE
+from pipeline.posterior.refine import ROUGHNESS_FACTOR, stay_near
+from pipeline.posterior.shading import Shading
+from pipeline.posterior.textures import bilinear_matrix, gather, splat
+from pipeline.render.renderer import Explanation
+
+SIZE = 64
+VIEWS = 10
+
+
+def pixels_of(truth: np.ndarray, count: int, misplaced: float = 0.0) -> tuple:
+    """Observations of a flat map (t, t, 3) under shading that differs from pixel to pixel, whose uv
+    are wrong by `misplaced` texels (standard deviation), all of a view by the same.
+    """
+    rng = np.random.default_rng(1)
+    uv = rng.uniform(0.05, 0.95, (count, 2))
+    view = rng.integers(VIEWS, size=count)
+    shading = Shading(rng.uniform(0.5, 2, (count, 3)), np.full((count, 3), 0.05))
+    off = rng.normal(size=(VIEWS, 2))[view] * misplaced / SIZE
+    observations = SimpleNamespace(
+        uv=uv,
+        view=view,
+        cosine=rng.uniform(0.4, 1, count).astype(np.float32),
+        rgb=(gather(truth, uv + off) * shading.scaled + shading.rest).astype(np.float32),
+        clipped=np.zeros(count, bool),
+    )
+    return observations, shading
+
+
+@pytest.fixture(scope="module")
+def truth() -> np.ndarray:
+    """A map of detail in every second texel."""
+    image = np.random.default_rng(0).uniform(0.1, 0.8, (SIZE // 2, SIZE // 2, 3))
+    return np.repeat(np.repeat(image, 2, 0), 2, 1).astype(np.float32)
+
+
+def test_bilinear_matrix_is_gather_and_its_transpose_splat(truth):
+    rng = np.random.default_rng(0)
+    uv = rng.uniform(0.02, 0.98, (300, 2))
+    values = rng.random((300, 3))
+    matrix = bilinear_matrix(uv, SIZE)
+    assert np.allclose(matrix @ truth.reshape(-1, 3), gather(truth, uv), atol=0.01)
+    summed = (matrix.T @ values).reshape(SIZE, SIZE, 3)
+    assert np.allclose(summed, splat(uv, values, SIZE), atol=1e-5)
+
+
+def test_texels_without_pixels_take_the_colour_around_them():
+    pixels = np.zeros((SIZE, SIZE, 1), np.float32)
+    pixels[:, :32] = 9
+    shading = np.repeat(2 * pixels, 3, 2)
+    color = coarse_to_fine(TexelSums(0.3 * shading, shading, pixels), 2.0)
+    assert np.allclose(color, 0.3, atol=1e-4)
+
+
+def test_one_pixels_highlight_leaves_no_dot():
+    pixels = np.full((SIZE, SIZE, 1), 3, np.float32)
+    shading = np.repeat(pixels, 3, 2)
+    sums = 0.2 * shading
+    sums[20, 20] += 2.4  # one of its pixels shows 1 where the others show .2
+    plain = coarse_to_fine(TexelSums(sums, shading, pixels), 0.0)[20, 20]
+    calmed = coarse_to_fine(TexelSums(sums, shading, pixels), 2.0)[20, 20]
+    assert (plain > 0.9).all() and (calmed < 0.2 + 0.65 * (plain - 0.2)).all()
+
+
+def test_weighted_error_is_that_of_the_log():
+    picture = np.array([[0.02, 0.5, 3.0]])
+    photo = np.array([[1.0, 0.5001, 0.1]])
+    weighted = error_weight(picture, photo) * (photo - picture)
+    difference = np.log((photo + SHADE) / (picture + SHADE))
+    assert np.allclose(weighted, difference / (picture + SHADE), rtol=1e-3)
+
+
+def test_map_is_as_sharp_as_the_cameras_allow(truth):
+    begin = np.full((SIZE, SIZE, 3), 0.4, np.float32)
+    inside = np.s_[6:-6, 6:-6]
+    chosen = {}
+    for misplaced in (0.0, 2.0):
+        observations, shading = pixels_of(truth, 40000, misplaced)
+        color, chosen[misplaced] = color_map(observations, shading, begin)
+        mean, _, loss = ColorSolver(observations, shading, SIZE).robust(begin)
+        assert chosen[misplaced]["loss"] == loss
+        if not misplaced:
+            error = lambda image: np.abs(image - truth)[inside].mean()
+            assert error(color) < 0.5 * error(mean)
+    assert chosen[0.0]["passes"] == max(choice.passes for choice in CHOICES)
+    assert chosen[2.0]["passes"] == 0
+
+
+def test_views_that_contradict_the_others_are_forgotten(truth):
+    observations, shading = pixels_of(truth, 40000)
+    observations.rgb[observations.view == 3] += 4.0
+    begin = np.full((SIZE, SIZE, 3), 0.4, np.float32)
+    color, _ = color_map(observations, shading, begin)
+    assert np.abs(color - truth)[6:-6, 6:-6].mean() < 0.05
+
+
+def test_saturated_pixels_do_not_pull_the_colour_down():
+    truth = np.full((SIZE, SIZE, 3), 0.5, np.float32)
+    observations, shading = pixels_of(truth, 40000)
+    observations.clipped = observations.rgb.max(1) > 0.6
+    observations.rgb = np.minimum(observations.rgb, 0.6)
+    assert observations.clipped.mean() > 0.5
+    color, facts = color_map(observations, shading, truth)
+    assert facts["loss"] < 1e-6
+    assert np.abs(color - truth).max() < 0.01
+
+    observations.clipped[:] = False
+    color, _ = color_map(observations, shading, truth)
+    assert color[6:-6, 6:-6].mean() < 0.45
+
+
+def test_gloss_stays_near_the_draw():
+    """Roughness within a factor, metallic as drawn, whatever the gradient says."""
+    plain = lambda value: np.full((4, 4), value, np.float32)
+    drawn = Explanation(
+        np.ones((4, 8, 3), np.float32),
+        np.ones((4, 4, 3), np.float32),
+        plain(0.1),
+        plain(0.5),
+    )
+    materials = MaterialOptimizer(drawn, 0.1, roughness_min=0.09)
+    stay_near(materials, drawn)
+    up = SimpleNamespace(
+        base_color=np.zeros((4, 4, 3)), roughness=-np.ones((4, 4)), metallic=-np.ones((4, 4))
+    )
+    for _ in range(20):
+        materials.step(up)
+    assert np.allclose(materials.values["roughness"].numpy(), 0.1 * ROUGHNESS_FACTOR)
+    assert (materials.values["metallic"].numpy() == drawn.metallic).all()
+
+    up.roughness = np.ones((4, 4))
+    for _ in range(60):
+        materials.step(up)
+    assert np.allclose(materials.values["roughness"].numpy(), 0.09)

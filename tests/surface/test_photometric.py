@@ -1,0 +1,200 @@
+"""Photometric refinement on a ball seen by eight cameras, with and without texture."""
+
+import numpy as np
+import pytest
+
+from pipeline.base.runtime import import_open3d
+from pipeline.geometry.cameras import View
+from pipeline.geometry.mesh_io import Mesh, vertex_normals
+from pipeline.surface.consistency import Sight, pull, with_slopes
+from pipeline.surface.photometric import Refinement, affordable, refine_mesh
+from pipeline.surface.plate import umbrella
+from pipeline.surface.zbuffer import Crop, z_buffer
+from tests.conftest import look_at
+
+SIZE = 96
+RADIUS = 0.5
+NEIGHBOURS = [[(k - 1) % 8, (k + 1) % 8] for k in range(8)]
+QUICK = Refinement(scales=(0.5, 1.0), steps=(4, 5))
+
+
+def cameras():
+    """Eight on a ring of 25 degrees' steps, so that neighbours see much alike."""
+    out = []
+    for k in range(8):
+        angle = np.radians(25 * k)
+        eye = 2.2 * np.array([np.sin(angle), 0.3, np.cos(angle)])
+        pose = look_at(eye)
+        out.append(View(f"v{k}", "", SIZE, SIZE, 170, 170, SIZE / 2, SIZE / 2, pose))
+    return out
+
+
+def points_on_ball(view):
+    """Where each pixel's ray meets the true ball (h, w, 3), nan where it misses."""
+    u, v = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
+    o, d = view.rays(np.stack([u, v], -1))
+    b = (o * d).sum(-1)
+    root = b**2 - (o**2).sum(-1) + RADIUS**2
+    far = np.where(root > 0, -b - np.sqrt(np.maximum(root, 0)), np.nan)
+    return o + d * far[..., None]
+
+
+def texture(p):
+    """A pattern without edges, waves of about six pixels."""
+    rng = np.random.default_rng(3)
+    waves = 45 * rng.normal(size=(12, 3))
+    waves /= np.maximum(np.linalg.norm(waves, axis=1, keepdims=True) / 45, 1)
+    value = np.sin(p @ waves.T + rng.uniform(0, 6, 12)).sum(-1)
+    return 0.5 + 0.06 * value
+
+
+def photos(views, paint):
+    return [np.nan_to_num(paint(points_on_ball(v)), nan=0.1) for v in views]
+
+
+def bumpy_ball():
+    """The ball with long bumps of 3 % of its radius, and the directions of its vertices."""
+    ico = import_open3d().geometry.TriangleMesh.create_icosahedron().subdivide_loop(5)
+    unit = np.asarray(ico.vertices)
+    unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
+    bumps = 1 + 0.03 * np.sin(9 * unit[:, :1] + 1) * np.sin(8 * unit[:, 1:2])
+    vertices = RADIUS * bumps * unit
+    faces = np.asarray(ico.triangles).astype(np.int64)
+    return Mesh(vertices, faces, vertex_normals(vertices, faces))
+
+
+def error(vertices, where):
+    """Median distance to the ball, as a share of its radius."""
+    return float(np.median(np.abs(np.linalg.norm(vertices[where], axis=1) / RADIUS - 1)))
+
+
+def well_seen(mesh):
+    """Vertices that face the arc of cameras' middle."""
+    angle = np.radians(87.5)
+    return mesh.vertices @ [np.sin(angle), 0.3, np.cos(angle)] > 0.6 * RADIUS
+
+
+@pytest.mark.slow
+def test_textured_ball_comes_close_to_the_truth():
+    mesh = bumpy_ball()
+    views = cameras()
+    where = well_seen(mesh)
+    refined, facts = refine_mesh(mesh, views, photos(views, texture), NEIGHBOURS, QUICK)
+    scores = [step["score"] for step in facts["steps"]]
+    assert scores[-1] > scores[0] + 0.02 and scores[-1] > 0.96
+    assert error(refined.vertices, where) < 0.4 * error(mesh.vertices, where)
+    assert (refined.faces == mesh.faces).all()
+
+
+@pytest.mark.slow
+def test_plain_ball_gets_no_worse():
+    """One colour and weak noise: the photos know nothing of the surface."""
+    mesh = bumpy_ball()
+    views = cameras()
+    rng = np.random.default_rng(0)
+    noisy = [
+        p + rng.normal(0, 0.003, p.shape) for p in photos(views, lambda p: p[..., 0] * 0 + 0.5)
+    ]
+    refined, _ = refine_mesh(mesh, views, noisy, NEIGHBOURS, QUICK)
+    everywhere = np.ones(len(mesh.vertices), bool)
+    assert error(refined.vertices, everywhere) < 1.02 * error(mesh.vertices, everywhere)
+
+
+@pytest.mark.slow
+def test_change_of_exposure_changes_nothing():
+    mesh = bumpy_ball()
+    views = cameras()
+    few = Refinement(scales=(1.0,), steps=(2,))
+    images = photos(views, texture)
+    darker = [(0.9 - 0.02 * k) * image + 0.01 * k for k, image in enumerate(images)]
+    one, _ = refine_mesh(mesh, views, images, NEIGHBOURS, few)
+    other, _ = refine_mesh(mesh, views, darker, NEIGHBOURS, few)
+    moved = np.abs(one.vertices - mesh.vertices).max()
+    assert np.abs(one.vertices - other.vertices).max() < 0.1 * moved
+
+
+def test_pull_is_the_slope_of_the_score():
+    """Against the change of all windows' scores when the surface goes deeper everywhere."""
+    views = cameras()[:2]
+    images = photos(views, texture)
+
+    def sight(k, deeper):
+        crop = Crop.around(views[k], np.array([[-0.6] * 3, [0.6] * 3]), 0)
+        points = points_on_ball(views[k])
+        _, depth = views[k].project(points)
+        front = np.isfinite(depth)
+        aslant = (np.nan_to_num(points) * (views[k].position - np.nan_to_num(points))).sum(-1)
+        front &= aslant > 0.6 * RADIUS * 2
+        depth = np.where(front, depth + 0.01 + deeper, 0).astype(np.float32)
+        whole = Crop(0, 0, SIZE, SIZE, views[k].K, crop.rotation, crop.shift)
+        return Sight(whole, with_slopes(images[k]), depth, front, 0.1)
+
+    other = sight(1, 0.0)
+    first, second, score = pull(sight(0, 0.0), other)
+    step = 1e-3
+    scores = lambda deeper: pull(sight(0, deeper), other)[2]
+    slope = np.nansum(scores(step) - scores(-step)) / (2 * step)  # windows seen both times
+    assert np.isfinite(score).sum() > 500 and (second >= 0).all()
+    assert abs(first.sum() - slope) < 0.05 * abs(slope)
+
+
+@pytest.mark.slow
+def test_masked_photos_leave_the_surface_alone():
+    mesh = bumpy_ball()
+    views = cameras()
+    few = Refinement(scales=(1.0,), steps=(2,), plate=1e-6)
+    images = photos(views, texture)
+    half = np.zeros((SIZE, SIZE), bool)
+    half[: SIZE // 2] = True
+    refined, _ = refine_mesh(mesh, views, images, NEIGHBOURS, few, masks=[half] * 8)
+    moved = np.linalg.norm(refined.vertices - mesh.vertices, axis=1)
+    below = mesh.vertices[:, 1] < -0.1
+    assert np.median(moved[below]) < 0.2 * np.median(moved[well_seen(mesh) & ~below])
+
+
+def test_z_buffer_is_what_rays_hit():
+    mesh = bumpy_ball()
+    view = cameras()[0]
+    crop = Crop.around(view, mesh.vertices, 3)
+    depth, seen = z_buffer(crop, mesh.vertices, mesh.faces)
+    assert ((depth > 0) == (seen >= 0)).all()
+
+    from pipeline.surface.preview import caster
+
+    scene, o3d = caster(mesh)
+    u, v = np.meshgrid(np.arange(crop.width) + 0.5, np.arange(crop.height) + 0.5)
+    o, d = view.rays(np.stack([u + crop.left, v + crop.top], -1))
+    hit = scene.cast_rays(o3d.core.Tensor(np.concatenate([o, d], -1).astype(np.float32)))
+    along = hit["t_hit"].numpy() * (d @ view.world_to_camera[2, :3])
+    both = np.isfinite(along) & (depth > 0)
+    assert (np.isfinite(along) != (depth > 0)).mean() < 2e-3
+    assert np.abs(depth - along)[both].max() < 1e-3
+
+
+def test_umbrella_of_a_flat_fan_is_zero():
+    ring = np.radians(np.arange(6) * 60)
+    vertices = np.concatenate([[[0, 0, 0]], np.stack([np.cos(ring), np.sin(ring), 0 * ring], -1)])
+    faces = np.array([[0, 1 + k, 1 + (k + 1) % 6] for k in range(6)])
+    assert np.abs((umbrella(8, faces) @ np.pad(vertices, ((0, 1), (0, 0))))[[0, 7]]).max() < 1e-12
+
+
+def test_cost_is_bounded_by_smaller_images():
+    mesh = bumpy_ball()
+    views = cameras()
+    images = [np.zeros((SIZE, SIZE))] * 8
+    assert affordable(mesh, views, images, 1e9) == 1
+    factor = affordable(mesh, views, images, 8000)
+    boxes = [Crop.around(v, mesh.vertices, 0) for v in views]
+    assert sum(b.width * b.height for b in boxes) * factor**2 == pytest.approx(8000)
+
+
+def test_lists_must_match_the_views():
+    mesh = bumpy_ball()
+    views = cameras()
+    images = [np.zeros((SIZE, SIZE))] * 8
+    with pytest.raises(ValueError, match="one entry per view"):
+        refine_mesh(mesh, views, images[1:], NEIGHBOURS)
+    with pytest.raises(ValueError, match="its own neighbour"):
+        refine_mesh(mesh, views, images, [[0]] * 8)
+    with pytest.raises(ValueError, match="no reduced picture"):
+        refine_mesh(mesh, views, [np.zeros((40, 50))] * 8, NEIGHBOURS)
