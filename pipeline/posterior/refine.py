@@ -5,8 +5,8 @@ Four steps, one after the other:
 1. Light scale: a closed-form factor.
 2. Base colour in closed form (base_color.py), from few paths (shading.py).
 3. Roughness and metallic: Adam through the path tracer, on maps of moderate size, because photos
-   say little about their fine detail. The base colour moves along. Where the sampler drew them they
-   stay near the draw.
+   say little about their fine detail. The base colour moves along. Where the sampler drew them,
+   roughness stays near the draw and metallic as drawn.
 4. Base colour again, with these and at full size.
 """
 
@@ -29,10 +29,8 @@ COARSE = 256  # side of the maps while roughness and metallic are moved
 SCALE_RANGE = (0.5, 2.0)  # within which the light's scale is refined
 SCALE_PIXELS = 8  # pixels for the light's scale, as a multiple of a step's
 DARKEST_START = 0.02  # base colour: a black one has no direction to move in
-# how far roughness (a factor) and metallic may move from a draw: the width of what one draw
-# believes of a region, so that what is no metal in the draw stays none
+# factor by which roughness may move from a draw: the width of what one draw believes of a region
 ROUGHNESS_FACTOR = 1.3
-METALLIC_STEP = 0.1
 COLOR_UNITS = 25  # progress: a base colour solve takes as long as so many of Adam's steps
 
 
@@ -85,16 +83,15 @@ def light_scale(
 
 
 def stay_near(materials: MaterialOptimizer, drawn: Explanation) -> None:
-    """Bound roughness and metallic of `materials` to what lies near the draw's."""
+    """Bound roughness of `materials` to what lies near the draw's, and metallic to what is drawn:
+    a surface is of one kind or another, and a draw says of which.
+    """
     low, high = materials.bounds["roughness"]
     materials.bounds["roughness"] = (
         np.maximum(drawn.roughness / ROUGHNESS_FACTOR, low),
         np.minimum(drawn.roughness * ROUGHNESS_FACTOR, high),
     )
-    materials.bounds["metallic"] = (
-        np.maximum(drawn.metallic - METALLIC_STEP, 0),
-        np.minimum(drawn.metallic + METALLIC_STEP, 1),
-    )
+    materials.bounds["metallic"] = drawn.metallic, drawn.metallic
 
 
 def move_gloss(
@@ -106,7 +103,7 @@ def move_gloss(
     rng: np.random.Generator,
 ) -> Explanation:
     """All three maps after `settings.steps` steps of Adam through the path tracer, light held;
-    near: roughness and metallic stay near what they are.
+    near: roughness stays near what it is, and metallic as it is.
     """
     materials = MaterialOptimizer(explanation, settings.learning_rate, problem.roughness_min)
     if near:
@@ -146,7 +143,7 @@ def refine(
     seen one's values.
 
     problem: renders at full texture size; small: at min(COARSE, full). drawn: the sampler drew the
-    light's scale, which then stays, and roughness and metallic, which stay near (`stay_near`).
+    light's scale and metallic, which then stay, and roughness, which stays near (`stay_near`).
     `bar` moves on by `units(settings)`.
     """
     rng = np.random.default_rng([977, seed])

@@ -15,7 +15,7 @@ from pipeline.posterior.base_color import (
 )
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import SHADE
-from pipeline.posterior.refine import METALLIC_STEP, ROUGHNESS_FACTOR, stay_near
+from pipeline.posterior.refine import ROUGHNESS_FACTOR, stay_near
 from pipeline.posterior.shading import Shading
 from pipeline.posterior.textures import bilinear_matrix, gather, splat
 from pipeline.render.renderer import Explanation
@@ -126,12 +126,13 @@ def test_saturated_pixels_do_not_pull_the_colour_down():
 
 
 def test_gloss_stays_near_the_draw():
+    """Roughness within a factor, metallic as drawn, whatever the gradient says."""
     plain = lambda value: np.full((4, 4), value, np.float32)
     drawn = Explanation(
         np.ones((4, 8, 3), np.float32),
         np.ones((4, 4, 3), np.float32),
         plain(0.1),
-        plain(0.0),
+        plain(0.5),
     )
     materials = MaterialOptimizer(drawn, 0.1, roughness_min=0.09)
     stay_near(materials, drawn)
@@ -141,7 +142,7 @@ def test_gloss_stays_near_the_draw():
     for _ in range(20):
         materials.step(up)
     assert np.allclose(materials.values["roughness"].numpy(), 0.1 * ROUGHNESS_FACTOR)
-    assert np.allclose(materials.values["metallic"].numpy(), METALLIC_STEP)
+    assert (materials.values["metallic"].numpy() == drawn.metallic).all()
 
     up.roughness = np.ones((4, 4))
     for _ in range(60):

@@ -7,49 +7,66 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from pipeline.posterior.split_gibbs.coherence import OFFSETS
 from pipeline.posterior.split_gibbs.likelihood import RowLikelihood, point_materials
 from pipeline.posterior.split_gibbs.setup import Model
 from pipeline.posterior.split_gibbs.state import Randomness, State
 from pipeline.posterior.textures import fill, splat
 from pipeline.render.renderer import Explanation
 
-# of the texture's side: roughness and metallic of the points run into each other over as much
-SOFT = 64
+# of the texture's side: roughness of the points of a region, and which kind most are of, run into
+# each other over as much
+SOFT = 48
 
 
 def maps(rng: Randomness, model: Model, state: State, light: np.ndarray) -> dict[str, np.ndarray]:
     """Texture maps under the operator's light (M', 3): a drawn base colour per point spread over
-    its texels; roughness and metallic by region, and how far points lie from that spread over their
-    texels. Roughness is the material's own: what the normals' spread adds is left out.
+    its texels; roughness and metallic within regions only, so that they end where colours do.
+    Roughness is the material's own: what the normals' spread adds is left out.
     """
-    data, materials, size = model.data, state.materials, model.settings.texture
+    data, size = model.data, model.settings.texture
     rows = RowLikelihood.of(model.mixer, state)
     _, _, colors = rows.draw_colors(light, rng.numpy)
+    counted = np.concatenate([colors, np.ones((len(colors), 1))], 1)
+    total = splat(model.uv, counted[data.rows.point], size)
+    base_color = cv2.GaussianBlur(spread(total)[..., :3], (0, 0), 1.0)
 
-    table = np.array(data.lobes.roughness)
-    roughness, metallic = point_materials(data, materials, state.offsets)
-    of_region = {"roughness": table[materials.roughness], "metallic": materials.metallic}
-    beside = np.stack(
-        [
-            table[roughness] - of_region["roughness"][data.region],
-            metallic - of_region["metallic"][data.region],
-        ],
-        1,
-    )
-    values = np.concatenate([colors, beside, np.ones((len(colors), 1))], 1)
-    total = splat(model.uv, values[data.rows.point], size)
-    known = total[..., 5] > 0.05
-    spread = fill(total[..., :5] / np.maximum(total[..., 5:], 1e-6), known)
-
-    base_color = cv2.GaussianBlur(spread[..., :3], (0, 0), 1.0)
-    soft = cv2.GaussianBlur(spread[..., 3:], (0, 0), max(size / SOFT, 0.5))
-    bounds = {"roughness": (table[0], table[-1]), "metallic": (0, 1)}
-    out = {
-        name: np.clip(of_region[name][model.region_map] + soft[..., k], *bounds[name])
-        for k, name in enumerate(bounds)
-    }
+    step, metallic = point_materials(data, state.materials, state.offsets)
+    roughness = np.array(data.lobes.roughness)[step]
+    out = {name: np.zeros((size, size)) for name in ("roughness", "metallic")}
+    for r in range(len(state.materials)):
+        mine, here = data.row_region == r, model.region_map == r
+        of_rows = data.rows.point[mine]
+        labels = state.offsets[1][of_rows]
+        found = region_maps(model.uv[mine], roughness[of_rows], metallic[of_rows], labels, size)
+        for name, value in zip(out, found):
+            out[name][here] = value[here]
     out["base_color"] = np.clip(base_color, 0, 1)
     return {name: value.astype(np.float32) for name, value in out.items()}
+
+
+def region_maps(
+    uv: np.ndarray, roughness: np.ndarray, metallic: np.ndarray, label: np.ndarray, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Roughness and metallic (size, size) of one region from its rows (n,) at uv (n, 2): roughness
+    as their local mean, in its log; metallic as that of the label (`coherence.OFFSETS`) that most
+    of them have there, for a surface is of one kind or another.
+    """
+    is_label = label[:, None] == OFFSETS[1]
+    columns = [np.log(roughness)[:, None], is_label, is_label * metallic[:, None]]
+    counted = np.concatenate([*columns, np.ones((len(uv), 1))], 1)
+    soft = cv2.GaussianBlur(spread(splat(uv, counted, size)), (0, 0), max(size / SOFT, 0.5))
+
+    share, of_label = np.split(soft[..., 1:], 2, axis=-1)
+    most = share.argmax(-1)[..., None]
+    kind = np.take_along_axis(of_label, most, -1) / np.take_along_axis(share, most, -1)
+    return np.exp(soft[..., 0]), np.clip(kind[..., 0], 0, 1)
+
+
+def spread(total: np.ndarray) -> np.ndarray:
+    """Means (t, t, c) from sums and, last, counts (t, t, c + 1); the nearest elsewhere."""
+    known = total[..., -1] > 0.05
+    return fill(total[..., :-1] / np.maximum(total[..., -1:], 1e-6), known)
 
 
 def facts(model: Model, state: State) -> dict:

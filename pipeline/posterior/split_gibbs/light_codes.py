@@ -270,7 +270,8 @@ class CodeLikelihood:
         """Log-likelihood and exact prior of the colours, less the reference Gaussian's."""
         rows, width = self.at(z), self.unknowns.width
         materials = rows.materials
-        prior = log_prior(materials) + float(np.log(steepness(materials.color)).sum())
+        roughness = rows.data.lobes.roughness
+        prior = log_prior(materials, roughness) + float(np.log(steepness(materials.color)).sum())
         reference = 0.5 * float(self.unknowns.numbers(z).square().sum()) / width**2
         return rows.value(self.light(z)) + prior + reference
 

@@ -14,13 +14,7 @@ import torch
 from scipy import sparse
 
 from pipeline.posterior.problem import ALBEDO_MAX
-from pipeline.posterior.split_gibbs.lobes import (
-    METALLIC,
-    LobeTable,
-    metallic_step,
-    mix,
-    neighbours,
-)
+from pipeline.posterior.split_gibbs.lobes import LobeTable, mix, neighbours
 from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials, State
 
@@ -28,13 +22,15 @@ from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials, State
 def point_materials(
     data: RowData, materials: RegionMaterials, offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Roughness step and metallic of every point's own material, (p,) each; as metallic as can be,
-    where offsets (3, p) lead beyond.
+    """Roughness step and metallic of every point's own material, (p,) each, from the regions' and
+    the points' offsets (3, p) (`coherence.OFFSETS`); as metallic as a point of its roughness can
+    be.
     """
     region, lobes = data.region, data.lobes
     roughness = np.clip(materials.roughness[region] + offsets[0], 0, len(lobes.roughness) - 1)
-    step = np.clip(metallic_step(materials.metallic)[region] + offsets[1], 0, len(METALLIC) - 1)
-    return roughness, np.minimum(METALLIC[step], lobes.most_metallic[roughness])
+    of_region = materials.metallic[region]
+    metallic = np.choose(offsets[1], [of_region, np.full_like(of_region, 0.5), 1 - of_region])
+    return roughness, np.minimum(metallic, lobes.most_metallic[roughness])
 
 
 def point_lobes(

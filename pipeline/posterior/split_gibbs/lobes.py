@@ -28,7 +28,8 @@ BETWEEN = 4
 SWALLOWED = 0.3
 # of normals that are exact
 NO_SPREAD = np.zeros(1)
-METALLIC = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98, 1.0])
+# dielectric; dirt on metal, or a patch that holds both; metal
+METALLIC = np.array([0.0, 0.5, 1.0])
 
 
 def metallic_step(metallic: np.ndarray) -> np.ndarray:

@@ -13,32 +13,26 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.special import logsumexp
 
+from pipeline.posterior.split_gibbs.coherence import FAVOUR, OFFSETS, draw_labels
+from pipeline.posterior.split_gibbs.kind_moves import jump_kinds, label_odds
 from pipeline.posterior.split_gibbs.light_codes import Decoder
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, seen_by
 from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step
-from pipeline.posterior.split_gibbs.material_prior import (
-    color_parts,
-    log_color_of,
-    log_own_prior,
-    log_prior,
-)
+from pipeline.posterior.split_gibbs.material_prior import log_alone, log_prior
+from pipeline.posterior.split_gibbs.metropolis import accepted
 from pipeline.posterior.split_gibbs.noise import draw_noise
 from pipeline.posterior.split_gibbs.normal_spread import draw_normal_spread
 from pipeline.posterior.split_gibbs.row_model import RowModel
 from pipeline.posterior.split_gibbs.state import Kernel, Noise, Randomness, RegionMaterials, State
 
-# of a point from its region: steps of roughness, steps of METALLIC
-OFFSETS = BETWEEN * np.arange(-3, 4), np.array([-9, -6, -4, -2, 0, 2, 4, 6, 9])
-# of the discrete normal that offsets come from, in units of UNITS
-WIDTHS = np.array([0.0, 0.7, 1.5, 3.0])
-UNITS = BETWEEN, 1
-# a region is of one material unless its points say otherwise
-WIDTH_PRIOR = np.log([0.5, 0.2, 0.2, 0.1])
 # deviation of the log light scale about the scale that fits a grey object
 SCALE_PRIOR = 1.5
 GAUGE_STEPS = 60
+# sweeps over the points' labels in a draw of their offsets
+LABEL_SWEEPS = 3
+# jumps of every region per draw of the materials
+JUMPS = 12
 # acceptance that step sizes adapt towards, how fast, and their bounds
 ACCEPTANCE, ADAPTATION, STEP_BOUNDS = 0.3, 0.05, (0.003, 0.5)
 
@@ -67,7 +61,7 @@ def propose_all(
     materials: RegionMaterials, roughnesses: int, rng: np.random.Generator, step: np.ndarray
 ) -> RegionMaterials:
     """Symmetric proposal for every region: mean colour always, roughness and metallic half of the
-    time each; a fifth of these moves go anywhere.
+    time each; a fifth of the roughness moves go anywhere.
     """
     new = propose_color(materials, roughnesses, rng, step)
     regions = len(materials)
@@ -79,11 +73,8 @@ def propose_all(
     moves = rng.random(regions) < 0.5
     roughness = np.where(moves, materials.roughness + jump, materials.roughness)
 
-    jump = np.where(
-        rng.random(regions) < 0.2, rng.integers(-12, 13, regions), rng.integers(-1, 2, regions)
-    )
     now = metallic_step(materials.metallic)
-    metallic = np.where(rng.random(regions) < 0.5, now + jump, now)
+    metallic = np.where(rng.random(regions) < 0.5, now + rng.integers(-1, 2, regions), now)
 
     inside = (roughness >= 0) & (roughness < roughnesses)
     inside = inside & (metallic >= 0) & (metallic < len(METALLIC))
@@ -92,6 +83,17 @@ def propose_all(
         roughness=np.where(inside, roughness, materials.roughness),
         metallic=np.where(inside, METALLIC[metallic % len(METALLIC)], materials.metallic),
     )
+
+
+def region_density(
+    model: RowModel, seen: np.ndarray, materials: RegionMaterials, offsets: np.ndarray
+) -> np.ndarray:
+    """Log-density of every region (R,): its rows given what every lobe sees of the light (steps, 4,
+    n, 3), and its prior beside what joins the regions.
+    """
+    data = model.data
+    points = model.point_values(*seen_by(data, seen, materials, offsets), materials)
+    return np.bincount(data.region, points, len(materials)) + log_alone(materials, data.lobes)
 
 
 def draw_regions(
@@ -110,46 +112,17 @@ def draw_regions(
     step (R,): step sizes. Returns materials, adapted step sizes, and the share of accepted
     proposals (R,).
     """
-    data = model.data
-    most = data.lobes.most_metallic
-
-    def log_density(m: RegionMaterials) -> np.ndarray:
-        points = model.point_values(*seen_by(data, seen, m, offsets), m)
-        likelihood = np.bincount(data.region, points, len(m))
-        impossible = m.metallic > most[m.roughness]
-        return np.where(impossible, -np.inf, likelihood + log_own_prior(m))
-
-    now = log_density(materials)
+    now = region_density(model, seen, materials, offsets)
     taken = np.zeros(len(materials))
     for _ in range(steps):
         new = proposal(materials, len(seen), rng, step)
-        then = log_density(new)
+        then = region_density(model, seen, new, offsets)
         yes = accepted(materials, new, then - now, rng)
         materials = new.where(yes, materials)
         now = np.where(yes, then, now)
         step = np.clip(step * np.exp(ADAPTATION * (yes - ACCEPTANCE)), *STEP_BOUNDS)
         taken += yes
     return materials, step, taken / max(steps, 1)
-
-
-def accepted(
-    materials: RegionMaterials, new: RegionMaterials, gain: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
-    """Which regions take their new materials (R,), one after the other; gain (R,): what speaks for
-    it beside the prior of the colours.
-    """
-    regions = len(gain)
-    yes = np.zeros(regions, bool)
-    old = color_parts(materials.color, materials.metallic)
-    change = color_parts(new.color, new.metallic) - old
-    total = old.sum(0)
-    now = log_color_of(total, regions)
-    for r, threshold in enumerate(np.log(rng.random(regions))):
-        then = log_color_of(total + change[r], regions)
-        yes[r] = threshold < gain[r] + then - now
-        if yes[r]:
-            total, now = total + change[r], then
-    return yes
 
 
 def draw_offsets(
@@ -159,33 +132,17 @@ def draw_offsets(
     offsets: np.ndarray,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """How far every point's roughness and metallic lie from its region's, in a copy of `offsets`
-    (3, p): discrete normals of a width that each region draws for itself, 0 among them, with its
-    points' offsets summed out.
+    """How every point's material lies off its region, in a copy of `offsets` (3, p): one row of
+    `coherence.OFFSETS` after the other, given the labels of its neighbours.
     """
     data = model.data
     offsets = offsets.copy()
-    for kind, steps in enumerate(OFFSETS):
-        columns = []
-        for step in steps:
-            offsets[kind] = step
-            columns.append(model.point_values(*seen_by(data, seen, materials, offsets), materials))
-        table = np.stack(columns, 1)
-        prior = log_offset(steps / UNITS[kind])[:, None]
-        for r in range(len(materials)):
-            mine = np.flatnonzero(data.region == r)
-            values = table[mine][None] + prior  # (widths, points, steps)
-            width = categorical(logsumexp(values, 2).sum(1)[None] + WIDTH_PRIOR, rng)[0]
-            offsets[kind, mine] = steps[categorical(values[width], rng)]
+    for row, labels in enumerate(OFFSETS):
+        now = np.searchsorted(labels, offsets[row])
+        odds = label_odds(model, seen, materials, offsets, row)
+        drawn = draw_labels(data.neighbours, odds, FAVOUR[row], now, LABEL_SWEEPS, rng)
+        offsets[row] = labels[drawn]
     return offsets
-
-
-def log_offset(steps: np.ndarray) -> np.ndarray:
-    """Log-probability of every offset (widths, steps)."""
-    with np.errstate(divide="ignore"):
-        far = -0.5 * (steps / np.maximum(WIDTHS[:, None], 1e-9)) ** 2
-    value = np.where(steps == 0, 0.0, far)
-    return value - logsumexp(value, 1, keepdims=True)
 
 
 def categorical(log_odds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -228,7 +185,7 @@ def draw_gauge(
         gain = np.exp(s - log_scale + d)
         rows = model.point_values(U * gain, W * gain, m).sum()
         scale = 0.5 * ((s - centre) / SCALE_PRIOR) ** 2
-        return rows + log_prior(m) + pull(d) - scale
+        return rows + log_prior(m, model.data.lobes.roughness) + pull(d) - scale
 
     shift, scale, taken = np.zeros(3), log_scale, 0
     now = log_density(materials, log_scale, shift)
@@ -312,22 +269,16 @@ def material_kernel(
         model = rows.model
         seen = mixer.data.lobes.apply(light, rows.nodes(light))
 
+        materials, offsets = state.materials, state.offsets
+        whole = proposal is propose_all
+        if whole:
+            materials, offsets = jump_kinds(model, seen, materials, offsets, JUMPS, rng.numpy)
         materials, color_step, taken = draw_regions(
-            model,
-            seen,
-            state.materials,
-            state.offsets,
-            steps,
-            rng.numpy,
-            state.color_step,
-            proposal,
+            model, seen, materials, offsets, steps, rng.numpy, state.color_step, proposal
         )
-        offsets = state.offsets
-        if proposal is propose_all:
+        if whole:
             offsets = draw_offsets(model, seen, materials, offsets, rng.numpy)
-            materials, offsets = draw_normal_spread(
-                model, seen, materials, offsets, log_own_prior, rng.numpy
-            )
+            materials, offsets = draw_normal_spread(model, seen, materials, offsets, rng.numpy)
 
         even, few, now = model.row_by_row(), steps // 3, state.spread_step
         materials, spread_step, _ = draw_regions(

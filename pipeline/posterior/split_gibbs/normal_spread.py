@@ -15,7 +15,6 @@ and no such unknown.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +22,7 @@ from scipy.special import logsumexp
 
 from pipeline.posterior.split_gibbs.likelihood import point_materials
 from pipeline.posterior.split_gibbs.lobes import NO_SPREAD, mix
+from pipeline.posterior.split_gibbs.material_prior import log_alone
 from pipeline.posterior.split_gibbs.row_model import RowModel
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 
@@ -76,15 +76,14 @@ def draw_normal_spread(
     seen: np.ndarray,
     materials: RegionMaterials,
     offsets: np.ndarray,
-    log_own: Callable[[RegionMaterials], np.ndarray],
     rng: np.random.Generator,
 ) -> tuple[RegionMaterials, np.ndarray]:
     """Roughness of every region together with the spread of its points' normals, an exact draw
     given all else: materials, and `offsets` (3, p) with a new last row.
 
-    seen (steps, 4, n, 3): what every lobe sees of the light; log_own: log-prior of each region's
-    material (R,). They must move together, for a sharper material over wilder normals looks the
-    same. Roughnesses at which a point's metallic could not stay as it is are left out.
+    seen (steps, 4, n, 3): what every lobe sees of the light. They must move together, for a
+    sharper material over wilder normals looks the same. Roughnesses at which a point's metallic
+    could not stay as it is are left out.
     """
     data, lobes = model.data, model.data.lobes
     if len(lobes.spreads) == 1:
@@ -105,13 +104,11 @@ def draw_normal_spread(
         by_point = np.where((metallic == now)[:, None], by_point, -np.inf)
         rows = np.zeros((regions, len(log_region)))
         np.add.at(rows, data.region, by_point)
-        possible = materials.metallic <= lobes.most_metallic[step]
-        prior = np.where(possible, log_own(new), -np.inf)
-        log_odds[:, step] = rows + log_region + prior[:, None]
+        log_odds[:, step] = rows + log_region + log_alone(new, lobes)[:, None]
 
     both = log_odds.reshape(regions, -1)
     chosen = (both + rng.gumbel(size=both.shape)).argmax(1)
     step, of_region = np.divmod(chosen, len(log_region))
     odds = of_points[step[data.region], np.arange(len(now))] + log_point[of_region[data.region]]
     spread = (odds + rng.gumbel(size=odds.shape)).argmax(1)
-    return replace(materials, roughness=step), np.stack([offsets[0], offsets[1], spread])
+    return replace(materials, roughness=step), np.stack([*offsets[:2], spread])

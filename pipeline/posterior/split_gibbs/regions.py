@@ -15,6 +15,9 @@ from scipy.cluster.vq import kmeans2
 BRIGHTNESS = 0.35  # weight of log brightness against log chromaticity
 EXPLAINED = 0.85  # share of the spread at which no more groups are added, unless told
 LARGEST = 6
+# of a map's side: texels are averaged with others as near, and within as much of `features`; so
+# many times
+CALM, ALIKE, FILTERED = 128, 0.3, 2
 
 
 def features(rgb: np.ndarray) -> np.ndarray:
@@ -42,7 +45,14 @@ def group(
 
 
 def texel_regions(base_color: np.ndarray, centers: np.ndarray, size: int) -> np.ndarray:
-    """Region of every texel (size, size) by a map of base colour."""
+    """Region of every texel (size, size) by a map of base colour: the nearest centre's, after a
+    bilateral filter (Tomasi and Manduchi 1998), for a map's noise is no material; lone texels are
+    voted down.
+    """
     colour = cv2.resize(base_color, (size, size), interpolation=cv2.INTER_AREA)
-    label = ((features(colour)[:, :, None] - centers) ** 2).sum(-1).argmin(-1).astype(np.uint8)
+    calm: np.ndarray = features(colour).astype(np.float32)
+    reach = max(size / CALM, 0.5)
+    for _ in range(FILTERED):
+        calm = np.asarray(cv2.bilateralFilter(calm, -1, ALIKE, reach))
+    label = ((calm[:, :, None] - centers) ** 2).sum(-1).argmin(-1).astype(np.uint8)
     return cv2.medianBlur(label, 5) if size >= 32 else label

@@ -30,6 +30,7 @@ import numpy as np
 from scipy import special, stats
 
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
+from pipeline.posterior.split_gibbs.coherence import Neighbours
 from pipeline.posterior.split_gibbs.lobes import LobeTable
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
 from pipeline.render.rows import Rows
@@ -46,7 +47,8 @@ class RowData:
     observed (n, 3): radiance of the rows; clipped (n,): whether that is a lower bound;
     region (p,): of every point; ceiling (p, 3): of its base colour; point_weight (p,): how much its
     rows count in this draw; light_rows: rows of the light that the operator resolves;
-    bounces: how many surface interactions light has behind it at most, as the path tracer's.
+    bounces: how many surface interactions light has behind it at most, as the path tracer's;
+    neighbours: which points of a region prefer to be alike.
     """
 
     transport: Transport
@@ -59,6 +61,7 @@ class RowData:
     point_weight: np.ndarray
     light_rows: int
     bounces: int
+    neighbours: Neighbours
 
     @classmethod
     def plain(
@@ -69,8 +72,8 @@ class RowData:
         region: np.ndarray,
         bounces: int,
     ) -> RowData:
-        """Rows of `transport`, none of them saturated, all points of one weight and below
-        ALBEDO_MAX.
+        """Rows of `transport`, none of them saturated, all points of one weight, below
+        ALBEDO_MAX and by themselves.
         """
         points = len(region)
         return cls(
@@ -84,6 +87,7 @@ class RowData:
             point_weight=np.ones(points),
             light_rows=transport.h,
             bounces=bounces,
+            neighbours=Neighbours.none(points),
         )
 
     @cached_property

@@ -34,6 +34,7 @@ from pipeline.posterior.split_gibbs.material_moves import (
     propose_color,
     scale_only,
 )
+from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.setup import Model, set_up
 from pipeline.posterior.split_gibbs.start_search import Search
 from pipeline.posterior.split_gibbs.state import Randomness, RegionMaterials, State, run
@@ -106,7 +107,7 @@ def start(rng: Randomness, model: Model, state: State, sweeps: int) -> State:
     settings = model.settings
     data, gaussian = model.data, model.gaussian
 
-    # 2a  two sets of materials and lights by evidence
+    # 2a  sets of materials and lights by evidence
     search = Search.over(data, gaussian, state.log_scale, settings.search_points, rng.numpy)
     found = search.run(state.materials, settings.search_sweeps, rng.numpy)
 
@@ -127,8 +128,8 @@ def start(rng: Randomness, model: Model, state: State, sweeps: int) -> State:
 def begun(
     rng: Randomness, model: Model, state: State, materials: RegionMaterials, code: torch.Tensor
 ) -> tuple[float, State]:
-    """Step 2b: first sweeps from materials and a code (3, m) of the Gaussian prior: log odds of
-    how well they explain the rows, and the state they end in.
+    """Step 2b: first sweeps from materials and a code (3, m) of the Gaussian prior: log odds of the
+    materials and of how well they explain the rows, and the state they end in.
     """
     coefficients = model.gaussian_unknowns.nearest(code)
     state = replace(state, materials=materials, code=code, coefficients=coefficients)
@@ -136,7 +137,8 @@ def begun(
     for _ in range(WARM_UP_ROUNDS):
         state = run(rng, state, material_kernel(model.mixer, decoder, WARM_UP_STEPS, propose_color))
     state = gaussian_sweeps(rng, model, state, FIRST_SWEEPS)
-    return explained(rng, model, state), state
+    prior = log_prior(state.materials, model.data.lobes.roughness)
+    return explained(rng, model, state) + prior, state
 
 
 def gaussian_sweeps(rng: Randomness, model: Model, state: State, count: int) -> State:

@@ -17,11 +17,12 @@ from scipy.spatial import cKDTree
 
 from pipeline.base.config import Sample
 from pipeline.posterior.problem import ALBEDO_MAX, Problem, generators
+from pipeline.posterior.split_gibbs.coherence import Neighbours
 from pipeline.posterior.split_gibbs.light_codes import COMPONENTS, Decoder, Modes, ModeUnknowns
 from pipeline.posterior.split_gibbs.likelihood import Mixer
-from pipeline.posterior.split_gibbs.lobes import METALLIC, LobeTable, metallic_step
+from pipeline.posterior.split_gibbs.lobes import LobeTable
 from pipeline.posterior.split_gibbs.normal_spread import per_axis, spreads_about
-from pipeline.posterior.split_gibbs.regions import group, texel_regions
+from pipeline.posterior.split_gibbs.regions import features, group, texel_regions
 from pipeline.posterior.split_gibbs.row_model import RowData, contrast
 from pipeline.posterior.split_gibbs.state import Noise, Randomness, RegionMaterials, State
 from pipeline.posterior.textures import gather
@@ -81,8 +82,8 @@ class Model:
 def start_materials(
     fit: Explanation, uv: np.ndarray, region: np.ndarray, lobes: LobeTable
 ) -> RegionMaterials:
-    """Region medians of the fit's maps at the points uv (p, 2), no more metallic than their
-    roughness can be.
+    """Region medians of the fit's maps at the points uv (p, 2), each of the nearer kind; none is
+    more metallic than its roughness can be.
     """
 
     def medians(name: str) -> np.ndarray:
@@ -92,7 +93,7 @@ def start_materials(
     color = np.clip(medians("base_color"), 0.02, 0.95)
     distance = np.abs(np.array(lobes.roughness) - medians("roughness"))
     roughness = distance.argmin(1)
-    metallic = METALLIC[metallic_step(medians("metallic")[:, 0])]
+    metallic = medians("metallic")[:, 0].round()
     return RegionMaterials(
         color=color,
         spread=np.full(len(color), FIRST_SPREAD),
@@ -138,16 +139,21 @@ def row_data(
     transport: Transport,
     lobes: LobeTable,
     region: np.ndarray,
+    color: np.ndarray,
 ) -> RowData:
-    """The rows of `transport` as the photos show them, with this draw's weights of points."""
+    """The rows of `transport` as the photos show them, with this draw's weights of points; color
+    (p, 3): of the points in the fit.
+    """
     rows, observations = transport.rows, problem.observations
     patch = rows.patch
     bounces = problem.renderer.max_depth - 1
     plain = RowData.plain(transport, lobes, patch @ observations.rgb, region, bounces)
+    position = transport.position[rows.starts]
     return replace(
         plain,
         clipped=patch @ observations.clipped > 0,
-        point_weight=block_weights(transport.position[rows.starts], rng.numpy),
+        point_weight=block_weights(position, rng.numpy),
+        neighbours=Neighbours.of(position, features(color), region),
         ceiling=ALBEDO_MAX / contrast(rows, observations.rgb),
     )
 
@@ -165,11 +171,10 @@ def set_up(
     uv_points = uv[rows.starts]
 
     explained = rng.numpy.uniform(*EXPLAINED)
-    region, centers = group(
-        gather(fit.base_color, uv_points), explained, int(rng.numpy.integers(2**31))
-    )
+    color = gather(fit.base_color, uv_points)
+    region, centers = group(color, explained, int(rng.numpy.integers(2**31)))
     transport, lobes = operator(problem, rows, settings, own)
-    data = row_data(rng, problem, transport, lobes, region)
+    data = row_data(rng, problem, transport, lobes, region, color)
 
     model = Model(
         data=data,

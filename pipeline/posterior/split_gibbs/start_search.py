@@ -19,10 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from pipeline.posterior.split_gibbs.coherence import Neighbours
 from pipeline.posterior.split_gibbs.gaussian_approximation import cholesky
 from pipeline.posterior.split_gibbs.light_codes import Decoder, Modes, ModeUnknowns
 from pipeline.posterior.split_gibbs.likelihood import whiteners
-from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, LobeTable, mix
+from pipeline.posterior.split_gibbs.lobes import BETWEEN, LobeTable, mix
 from pipeline.posterior.split_gibbs.material_moves import categorical
 from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.pooling import pooled
@@ -41,9 +42,9 @@ LIGHT_FIRST = 3
 SEARCH_COMPONENTS = 200
 # weight of saturated rows where they hardly count
 FEW = 0.05
-# roughness step and metallic of whole objects
-UNIFORM = [(step * BETWEEN, m) for step in (0, 2, 5) for m in (0.0, 1.0)]
-CANDIDATES = METALLIC[[0, 4, 8, 12]]
+# metallic that regions choose from, and roughness steps that whole objects do
+CANDIDATES: tuple[float, ...] = (0.0, 1.0)
+UNIFORM = [step * BETWEEN for step in (0, 2, 5)]
 # deviations of any mode that one step may move it by: log light is linear nearby only
 LONGEST = 3.0
 
@@ -73,6 +74,7 @@ def subset(data: RowData, lobes: LobeTable, light_rows: int, points: np.ndarray)
         point_weight=data.point_weight[points],
         light_rows=light_rows,
         bounces=1,
+        neighbours=Neighbours.none(len(points)),
     )
 
 
@@ -196,16 +198,21 @@ class Search:
         return [self.piece(r, materials.of([r]), at) for r in range(len(self.parts))]
 
     def draw_material(
-        self, group: list[int], pieces: list[Piece], at: Linear, rng: np.random.Generator
+        self,
+        group: list[int],
+        kinds: tuple[float, ...],
+        pieces: list[Piece],
+        at: Linear,
+        rng: np.random.Generator,
     ) -> tuple[RegionMaterials, torch.Tensor]:
-        """One roughness and metallic for all regions of `group`, or what they have, by evidence:
-        materials of all regions, and the light's step that goes with it (K,).
+        """One roughness and a metallic of `kinds` for all regions of `group`, or what they have, by
+        evidence: materials of all regions, and the light's step that goes with it (K,).
         """
         lobes = self.parts[0].lobes
         choices = [
             (step, m)
             for step in range(0, len(lobes.roughness), BETWEEN)
-            for m in CANDIDATES
+            for m in kinds
             if m <= lobes.most_metallic[step]
         ]
 
@@ -218,7 +225,7 @@ class Search:
         found = []
         for candidate in [pieces] + [changed(choice) for choice in choices]:
             step, gain = light_step(candidate, at.c)
-            prior = log_prior(joined(candidate)) + shared(candidate, len(choices))
+            prior = log_prior(joined(candidate), lobes.roughness) + shared(candidate, len(choices))
             evidence = gain + sum(p.value for p in candidate) + prior
             found.append((evidence, candidate, step))
         odds = np.array([[evidence for evidence, _, _ in found]])
@@ -235,14 +242,17 @@ class Search:
     def sweep(
         self,
         order: list[list[int]],
+        kinds: tuple[float, ...],
         materials: RegionMaterials,
         c: torch.Tensor,
         rng: np.random.Generator,
     ) -> tuple[RegionMaterials, torch.Tensor]:
-        """Materials and coefficients (K,) after a draw for every group of `order`."""
+        """Materials and coefficients (K,) after a draw for every group of `order`, of a metallic in
+        `kinds`.
+        """
         pieces, at = self.settled(materials, self.linear(c))
         for group in order:
-            materials, step = self.draw_material(group, pieces, at, rng)
+            materials, step = self.draw_material(group, kinds, pieces, at, rng)
             pieces, at = self.stepped(materials, at, step)
         return joined(pieces), at.c
 
@@ -257,36 +267,47 @@ class Search:
             pieces, at = self.counting_saturated(weight).settled(materials, at)
             materials = joined(pieces)
         evidence = light_step(pieces, at.c)[1] + sum(p.value for p in pieces)
-        return evidence + log_prior(materials), materials, at.c
+        prior = log_prior(materials, self.parts[0].lobes.roughness)
+        return evidence + prior, materials, at.c
 
     def run(
         self, materials: RegionMaterials, sweeps: int, rng: np.random.Generator
     ) -> list[tuple[RegionMaterials, torch.Tensor]]:
-        """Step 2a: two starts, materials of all regions and a light code (3, m) each, after
+        """Step 2a: three starts, materials of all regions and a light code (3, m) each, after
         `sweeps` over all regions at once and each alone.
 
         One from `materials` and a flat light, the first sweep without much of the saturated rows:
         every one is too dark, and materials that spread highlights would explain them. One from the
-        material in UNIFORM that has the most evidence for all regions, with a light of its own.
-        Moves of one material, given the light of others, end at peaks hundreds of nats apart, and
-        which is the true one a light of 16 rows cannot always say.
+        dielectric that has the most evidence for all regions, one from the metal, each with a light
+        of its own. Moves of one material, given the light of others, end at peaks hundreds of nats
+        apart, and which is the true one a light of 16 rows cannot say: it is too smooth to show a
+        bright lamp, and so would have every gloss a metal. So the last two stay of their kind here.
         """
         regions = len(self.parts)
         flat = self.linear(torch.zeros(self.unknowns.size))
-        most = self.parts[0].lobes.most_metallic
-        whole = {(min(step, len(most) - 1), m) for step, m in UNIFORM}
-        candidates = sorted((step, m) for step, m in whole if m <= most[step])
-        tried = (self.alone(materials.made_of(*candidate), flat) for candidate in candidates)
-        _, uniform, of_uniform = max(tried, key=lambda start: start[0])
+        starts = [(materials, flat.c, FEW, CANDIDATES)]
+        for metallic in CANDIDATES:
+            tried = [self.alone(whole, flat) for whole in self.uniform(materials, metallic)]
+            if tried:
+                _, best, c = max(tried, key=lambda start: start[0])
+                starts.append((best, c, 1.0, (metallic,)))
 
         found = []
-        for now, c, first_weight in ((materials, flat.c, FEW), (uniform, of_uniform, 1.0)):
+        for now, c, first_weight, kinds in starts:
             for sweep in range(sweeps):
                 search = self.counting_saturated(1.0 if sweep else first_weight)
                 order = [list(range(regions))] + [[r] for r in rng.permutation(regions)]
-                now, c = search.sweep(order, now, c, rng)
+                now, c = search.sweep(order, kinds, now, c, rng)
             found.append((now, self.unknowns.code(c[None])))
         return found
+
+    def uniform(self, materials: RegionMaterials, metallic: float) -> list[RegionMaterials]:
+        """The materials with all regions of one metallic and one roughness of UNIFORM, as far as
+        there are such.
+        """
+        most = self.parts[0].lobes.most_metallic
+        steps = sorted({min(step, len(most) - 1) for step in UNIFORM})
+        return [materials.made_of(step, metallic) for step in steps if metallic <= most[step]]
 
 
 def joined(pieces: list[Piece]) -> RegionMaterials:

@@ -109,7 +109,8 @@ def test_value_counts_the_prior_of_the_colours(likelihood):
         moved = of_z.clone()
         unknowns.numbers(moved)[:] += 1e-3
         log_slope = np.log(np.log(unknowns.colors(moved) / unknowns.colors(of_z)) / 1e-3).sum()
-        return rows.value(likelihood.light(of_z)) + log_prior(rows.materials) + log_slope
+        prior = log_prior(rows.materials, rows.data.lobes.roughness)
+        return rows.value(likelihood.light(of_z)) + prior + log_slope
 
     other = z.clone()
     unknowns.numbers(other)[:] = numbers - 0.05

@@ -6,77 +6,119 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import gammaln
 
+from pipeline.posterior.problem import ALBEDO_MAX
+from pipeline.posterior.split_gibbs.coherence import ALONE, OFFSETS, OTHER, Neighbours
+from pipeline.posterior.split_gibbs.kind_moves import (
+    DARKEST,
+    FREEDOM,
+    jump_kinds,
+    propose_jump,
+    width,
+)
 from pipeline.posterior.split_gibbs.likelihood import point_materials
-from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC
+from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step, mix
 from pipeline.posterior.split_gibbs.material_moves import (
-    accepted,
     draw_offsets,
     draw_regions,
     propose_all,
     propose_spread,
 )
 from pipeline.posterior.split_gibbs.material_prior import (
-    CHROMA,
+    BLACK,
+    BODY,
     COMMON,
     DIELECTRIC,
+    DIELECTRIC_TINT,
+    KIND_SHARE,
     METAL,
-    METALLIC_PRIOR,
+    METAL_TINT,
     SPREAD_PRIOR,
     TAIL,
-    log_color_prior,
+    TINTS,
+    log_joint_prior,
     log_prior,
+    log_roughness,
+    unlike_metal,
 )
+from pipeline.posterior.split_gibbs.metropolis import accepted
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 
+ROUGHNESS = (0.08, 0.12, 0.2, 0.3, 0.4, 0.55, 0.75, 1.0)
 # of eight roughness steps: no rough metals
 MOST_METALLIC = np.repeat([1.0, 0.2], 4)
 # a model of two points, a region each, whose rows say nothing
 SILENT = SimpleNamespace(
     data=SimpleNamespace(
         region=np.array([0, 1]),
+        row_region=np.array([0, 1]),
+        observed=np.array([[0.3, 0.2, 0.1], [0.6, 0.6, 0.6]]),
+        clipped=np.zeros(2, bool),
         rows=SimpleNamespace(point=np.array([0, 1])),
         lobes=SimpleNamespace(
-            roughness=range(8), most_metallic=MOST_METALLIC, blurred=np.arange(8)[:, None]
+            roughness=ROUGHNESS, most_metallic=MOST_METALLIC, blurred=np.arange(8)[:, None]
         ),
+        neighbours=Neighbours.none(2),
     ),
+    precision=np.ones((2, 3)),
     point_values=lambda U, W, materials: np.zeros(2),
 )
 
 
+def lobes_seen() -> np.ndarray:
+    """Four lobes (8, 4, 2, 3) of which each roughness makes something else of the light."""
+    level = np.array([1.0, 0.1, 0.9, 0.2])[:, None, None]
+    sharpness = 1 + 0.3 * np.sin(np.arange(8))[:, None, None, None]
+    return np.broadcast_to(sharpness**2 * level**sharpness, (8, 4, 2, 3))
+
+
+def between(metallic: np.ndarray, of_dielectric, of_metal) -> list:
+    """Means and widths of two kinds at any metallic."""
+    m = np.asarray(metallic)[..., None] if np.ndim(of_metal[0]) else np.asarray(metallic)
+    return [(1 - m) * a + m * b for a, b in zip(of_dielectric, of_metal)]
+
+
 def from_the_prior(count: int, rng) -> list[RegionMaterials]:
-    """Draws of two regions, directly: Student's t as a normal over a chi, impossible colours and
-    rough metals thrown away.
+    """Draws of two regions, directly: Student's t as a normal over a chi, kinds from shares that
+    the body draws, impossible colours and rough or unlikely metals thrown away.
     """
     root = np.linalg.cholesky((1 - COMMON) * np.eye(2) + COMMON)
-    across = np.linalg.svd(np.ones((1, 3)))[2][1:]
     tried = 4 * count
     chi = np.sqrt(TAIL / rng.chisquare(TAIL, (2, tried, 1, 1)))
     student = lambda k: root @ rng.normal(size=(tried, 2, k)) * chi[k - 1]
 
-    roughness = rng.integers(8, size=(tried, 2))
-    odds = np.exp(METALLIC_PRIOR)
-    m = rng.choice(METALLIC, (tried, 2), p=odds / odds.sum())
-    centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
-    bright = centre + width * student(1)[..., 0]
-    color = np.exp(bright[..., None] + CHROMA * student(2) @ across)
+    share = rng.dirichlet(BODY * KIND_SHARE, tried)
+    m = METALLIC[(rng.random((tried, 2, 1)) > share.cumsum(1)[:, None]).sum(-1)]
+    table = log_roughness(ROUGHNESS)[metallic_step(m.ravel())].reshape(tried, 2, 8)
+    roughness = (table + rng.gumbel(size=table.shape)).argmax(-1)
 
-    possible = (color.max((1, 2)) < 0.98) & (m <= MOST_METALLIC[roughness]).all(1)
+    centre, width = between(m, DIELECTRIC, METAL)
+    middle, reach = between(m, DIELECTRIC_TINT, METAL_TINT)
+    bright = centre + width * student(1)[..., 0]
+    color = np.exp(bright[..., None] + (middle + reach * student(2)) @ TINTS) - BLACK
+
+    possible = (color > 0).all((1, 2)) & (color.max((1, 2)) < 0.98)
+    possible &= (m <= MOST_METALLIC[roughness]).all(1)
+    against = unlike_metal(np.maximum(color, 1e-9).reshape(-1, 3)).reshape(m.shape)
+    possible &= rng.random(tried) < np.exp(-m * against).prod(1)
     kept = np.flatnonzero(possible)[:count]
     assert len(kept) == count
     return [RegionMaterials(color[k], np.full(2, 0.3), roughness[k], m[k]) for k in kept]
 
 
 def figures(draws: list[RegionMaterials], edges: np.ndarray) -> np.ndarray:
-    """Shares of one region's log brightness below `edges` (3,), share of metals, mean roughness
-    step over 8, share of times that both regions are on one side of the middle edge, tint.
+    """Shares of one region's log brightness below `edges` (3,), share of metals and of bodies of
+    one kind, mean roughness step over 8, share of times that both regions are on one side of the
+    middle edge, tint.
     """
     log_color = np.log([t.color for t in draws])
-    bright, metal = log_color.mean(2), np.array([t.metallic[0] > 0.5 for t in draws])
+    bright, metal = log_color.mean(2), np.array([t.metallic > 0.5 for t in draws])
     return np.array(
         [
             *(bright[:, :1] < edges).mean(0),
-            metal.mean(),
+            metal[:, 0].mean(),
+            (metal[:, 0] == metal[:, 1]).mean(),
             np.mean([t.roughness[0] for t in draws]) / 8,
             ((bright > edges[1]).sum(1) != 1).mean(),
             np.median(np.abs(log_color[:, 0] - bright[:, :1])),
@@ -86,13 +128,21 @@ def figures(draws: list[RegionMaterials], edges: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_moves_leave_the_prior_as_it_is():
-    """Every chain starts with a draw of the prior, and still is one after 20 steps of wide moves:
-    to four deviations of each figure.
+    """Every chain starts with a draw of the prior, and still is one after 8 jumps and 16 steps of
+    wide moves: to four deviations of each figure.
     """
     rng = np.random.default_rng(0)
     many, first = from_the_prior(40_000, rng), from_the_prior(1250, rng)
-    seen, offsets, step = np.zeros((8, 4, 2, 3)), np.zeros((3, 2), int), np.full(2, 0.5)
-    last = [draw_regions(SILENT, seen, t, offsets, 20, rng, step)[0] for t in first]
+    seen, offsets, step = lobes_seen(), np.zeros((3, 2), int), np.full(2, 0.5)
+
+    def moved_on(t: RegionMaterials) -> RegionMaterials:
+        at = offsets
+        for _ in range(4):
+            t, at = jump_kinds(SILENT, seen, t, at, 2, rng)
+            t, _, _ = draw_regions(SILENT, seen, t, at, 4, rng, step)
+        return t
+
+    last = [moved_on(t) for t in first]
     moved = np.mean([np.abs(a.color - b.color).max() > 0.01 for a, b in zip(first, last)])
     assert moved > 0.9 and (step == 0.5).all()
 
@@ -100,14 +150,14 @@ def test_moves_leave_the_prior_as_it_is():
     exact = figures(many, edges)
     parts = [figures(many[k : k + 1250], edges) for k in range(0, 40_000, 1250)]
     deviation = np.std(parts, axis=0, ddof=1)
-    assert deviation.max() < 0.016
+    assert deviation.max() < 0.02
     assert (np.abs(figures(last, edges) - exact) < 4 * deviation).all()
 
 
 def some_materials(regions: int, rng) -> RegionMaterials:
     """Anything possible."""
     return RegionMaterials(
-        rng.uniform(0.02, 0.95, (regions, 3)),
+        rng.choice([0.02, 1.0]) * rng.uniform(0.02, 0.95, (regions, 3)),
         rng.uniform(0.05, 1.0, regions),
         rng.integers(8, size=regions),
         rng.choice(METALLIC, regions),
@@ -116,29 +166,36 @@ def some_materials(regions: int, rng) -> RegionMaterials:
 
 def test_prior_of_the_materials_is_students_t():
     """Ratios of densities of three regions against scipy's: brightness of all regions together, the
-    two directions of their tint together, metallic and spread each by itself.
+    two directions of their tint together, kinds together, metallic within its kind, roughness and
+    spread each by itself.
     """
     rng = np.random.default_rng(0)
     shape = (1 - COMMON) * np.eye(3) + COMMON
-    across = np.linalg.svd(np.ones((1, 3)))[2][1:]
 
     def expected(t: RegionMaterials) -> float:
-        log_color, m = np.log(t.color), t.metallic
-        centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC, METAL))
+        log_color, m = np.log(t.color + BLACK), t.metallic
+        centre, width = between(m, DIELECTRIC, METAL)
+        middle, reach = between(m, DIELECTRIC_TINT, METAL_TINT)
         bright = stats.multivariate_t(centre, np.outer(width, width) * shape, df=TAIL)
-        tint = stats.multivariate_t(np.zeros(6), CHROMA**2 * np.kron(shape, np.eye(2)), df=TAIL)
+        outer = np.outer(reach.ravel(), reach.ravel())
+        tint = stats.multivariate_t(middle.ravel(), outer * np.kron(shape, np.eye(2)), df=TAIL)
         spread = stats.norm(*SPREAD_PRIOR).logpdf(np.log(t.spread)).sum()
-        metallic = sum(METALLIC_PRIOR[METALLIC.tolist().index(value)] for value in m)
-        tints = tint.logpdf((log_color @ across.T).ravel())
-        return bright.logpdf(log_color.mean(1)) + tints + spread + metallic
+        step = metallic_step(m)
+        count = np.bincount(step, minlength=3)
+        body = stats.dirichlet_multinomial(BODY * KIND_SHARE, 3).logpmf(count)
+        in_order = body - gammaln(4) + gammaln(count + 1).sum()
+        own = log_roughness(ROUGHNESS)[step, t.roughness]
+        falls = np.log(t.color / (t.color + BLACK)).sum() - (m * unlike_metal(t.color)).sum()
+        tints = tint.logpdf((log_color @ TINTS.T).ravel())
+        return bright.logpdf(log_color.mean(1)) + tints + spread + in_order + own.sum() + falls
 
     draws = [some_materials(3, rng) for _ in range(50)]
-    difference = [log_prior(t) - expected(t) for t in draws]
+    difference = [log_prior(t, ROUGHNESS) - expected(t) for t in draws]
     np.testing.assert_allclose(difference, difference[0], atol=1e-9)
 
     color = draws[0].color.copy()
     color[1, 2] = 0.985
-    assert log_prior(replace(draws[0], color=color)) == -np.inf
+    assert log_prior(replace(draws[0], color=color), ROUGHNESS) == -np.inf
 
 
 def test_regions_are_accepted_one_after_the_other():
@@ -151,7 +208,7 @@ def test_regions_are_accepted_one_after_the_other():
         for r, threshold in enumerate(np.log(np.random.default_rng(seed).random(4))):
             other_color, other_m = color.copy(), m.copy()
             other_color[r], other_m[r] = new.color[r], new.metallic[r]
-            ratio = log_color_prior(other_color, other_m) - log_color_prior(color, m)
+            ratio = log_joint_prior(other_color, other_m) - log_joint_prior(color, m)
             assert found[r] == (threshold < gain[r] + ratio)
             if found[r]:
                 color, m = other_color, other_m
@@ -171,7 +228,7 @@ def test_proposals_are_symmetric():
     flow = np.bincount(at(start) * states + at(new), minlength=states**2).reshape(states, states)
     both = flow + flow.T
     often = np.triu(both >= 20, 1)
-    assert often.sum() > 300
+    assert often.sum() > 60
     z = (flow - flow.T)[often] / np.sqrt(both[often])
     assert abs((z**2).mean() - 1) < 5 * np.sqrt(2 / often.sum()) and np.abs(z).max() < 4.5
 
@@ -184,12 +241,54 @@ def test_proposals_are_symmetric():
     assert spread.std() > 0.2 and stats.kstest(spread[::2], -spread[1::2]).pvalue > 1e-3
 
 
+def test_jumps_keep_what_the_photos_show():
+    """The colour of the other kind is drawn about the one that sends what the photo shows; its
+    density there and back is Student's t of log colour.
+    """
+    rng, seen, offsets = np.random.default_rng(3), lobes_seen(), np.zeros((3, 2), int)
+    sent_over_shown, kinds = [], []
+    for _ in range(400):
+        now = replace(some_materials(2, rng), metallic=rng.choice([0.0, 1.0], 2))
+        new, back = propose_jump(SILENT, seen, now, offsets, rng)
+        guess = [best_color(seen, t) for t in (now, new)]
+        here, there = (
+            stats.t.logpdf(np.log(t.color / g) / width(g), FREEDOM) - np.log(width(g))
+            for t, g in zip((now, new), guess)
+        )
+        np.testing.assert_allclose(back, (here - there).sum(1), atol=1e-9)
+
+        reached = (guess[1] > DARKEST) & (guess[1] < ALBEDO_MAX)
+        ratio = sent(seen, new) / SILENT.data.observed
+        sent_over_shown += ratio[reached].tolist()
+        kinds += (new.metallic != now.metallic).tolist()
+    assert abs(np.median(sent_over_shown) - 1) < 0.02 and 0.4 < np.mean(kinds) < 0.6
+    assert np.quantile(np.abs(np.log(sent_over_shown)), 0.8) < 0.3
+
+
+def lobes_at(seen: np.ndarray, t: RegionMaterials) -> tuple[np.ndarray, np.ndarray]:
+    """U and W (2, 3) of two regions of one row each."""
+    metallic = np.minimum(t.metallic, MOST_METALLIC[t.roughness])
+    return mix(seen[t.roughness, :, np.arange(2)].transpose(1, 0, 2), metallic[:, None])
+
+
+def sent(seen: np.ndarray, t: RegionMaterials) -> np.ndarray:
+    """What they send to the cameras, (2, 3)."""
+    U, W = lobes_at(seen, t)
+    return t.color * U + W
+
+
+def best_color(seen: np.ndarray, t: RegionMaterials) -> np.ndarray:
+    """The colours (2, 3) with which they send what the photo shows, as far as there are such."""
+    U, W = lobes_at(seen, t)
+    return np.clip((SILENT.data.observed - W) / U, DARKEST, ALBEDO_MAX)
+
+
 class Two:
     """Two regions of 60 points; a point's log-likelihood falls with the distance of its roughness
     step from a target, or says nothing.
     """
 
-    def __init__(self, targets, sharpness):
+    def __init__(self, targets, sharpness, neighbours=None):
         steps = 8 * BETWEEN
         self.data = SimpleNamespace(
             region=np.repeat([0, 1], 60),
@@ -199,6 +298,7 @@ class Two:
                 most_metallic=np.ones(steps),
                 blurred=np.arange(steps)[:, None],
             ),
+            neighbours=neighbours or Neighbours.none(120),
         )
         self.targets, self.sharpness = targets, sharpness
 
@@ -222,7 +322,7 @@ def plain_regions() -> RegionMaterials:
 
 
 def drawn_offsets(targets, sharpness, rng) -> np.ndarray:
-    """Offsets (2, 120), beginning with none."""
+    """Offsets (3, 120), beginning with none."""
     none = np.zeros((3, 120), int)
     found = draw_offsets(Two(targets, sharpness), steps_seen(), plain_regions(), none, rng)
     assert not none.any()
@@ -240,18 +340,21 @@ def test_points_leave_their_region_where_the_photos_say_so():
     assert np.abs(offset[0, 60:] - (targets[60:] - 4 * BETWEEN)).mean() < 0.1
 
 
-def test_points_stay_with_their_region_where_the_photos_say_nothing():
-    """Then the width of a region's points comes from its prior: of 200 regions, half have none."""
-    rng, alone = np.random.default_rng(1), []
-    region = np.repeat([0, 1], 60)
-    for _ in range(100):
-        offset = drawn_offsets(np.zeros(120), 0.0, rng)
-        alone += [(offset[0][region == r] == 0).all() for r in (0, 1)]
-    assert abs(np.mean(alone) - 0.5) < 3 * (0.25 / 200) ** 0.5
+def test_points_without_photos_follow_their_own_odds():
+    """Points that know nothing of each other: every label as often as its prior says."""
+    rng = np.random.default_rng(1)
+    drawn = np.concatenate([drawn_offsets(np.zeros(120), 0.0, rng) for _ in range(60)], 1)
+    for row, labels in enumerate(OFFSETS):
+        share = (drawn[row][:, None] == labels).mean(0)
+        expected = np.exp(ALONE[row]) / np.exp(ALONE[row]).sum()
+        deviation = np.sqrt(expected * (1 - expected) / drawn.shape[1])
+        assert (np.abs(share - expected) < 4 * deviation).all()
 
 
-def test_offsets_stay_among_the_roughnesses_and_metals_there_are():
+def test_offsets_stay_among_the_roughnesses_there_are_and_turn_kinds():
     data = Two(np.zeros(120), 0.0).data
-    far = np.full((2, 120), 99)
+    far = np.stack([np.full(120, 99), np.full(120, OTHER), np.zeros(120, int)])
     roughness, metallic = point_materials(data, plain_regions(), far)
     assert (roughness == 8 * BETWEEN - 1).all() and (metallic == 1).all()
+    half = np.stack([np.zeros(120, int), np.arange(120) % 2, np.zeros(120, int)])
+    assert set(point_materials(data, plain_regions(), half)[1]) == {0.0, 0.5}

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from pipeline.posterior.split_gibbs.lobes import NO_SPREAD, LobeTable
+from pipeline.posterior.split_gibbs.material_prior import log_roughness
 from pipeline.posterior.split_gibbs.normal_spread import (
     draw_normal_spread,
     log_spreads,
@@ -53,11 +54,6 @@ def steps_seen() -> np.ndarray:
     return seen
 
 
-def favour(materials: RegionMaterials) -> np.ndarray:
-    """A prior of the regions' roughness, not even."""
-    return 0.3 * materials.roughness
-
-
 def grey() -> RegionMaterials:
     return RegionMaterials(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([2, 0]), np.zeros(2))
 
@@ -68,16 +64,17 @@ def test_draws_have_the_joint_probability():
     offsets = np.array([[0, 1, 0], [0, 0, 0], [1, 1, 1]])
     counts = np.zeros((4, 3, 3))
     for _ in range(6000):
-        drawn, moved = draw_normal_spread(model, steps_seen(), grey(), offsets, favour, rng)
+        drawn, moved = draw_normal_spread(model, steps_seen(), grey(), offsets, rng)
         counts[drawn.roughness[0], moved[2, 0], moved[2, 1]] += 1
     assert (moved[:2] == offsets[:2]).all()
 
+    favour = log_roughness(tuple(ROUGHNESS))[0]
     region, point = (np.exp(log) for log in log_spreads(3))
     exact = np.zeros_like(counts)
     for step, k, one, two in product(range(4), range(3), range(3), range(3)):
         own = np.clip(step + offsets[0], 0, 3)
         shown = model.data.lobes.blurred[own, [one, two, 0]]
-        prior = region[k] * point[k, one] * point[k, two] * np.exp(0.3 * step)
+        prior = region[k] * point[k, one] * point[k, two] * np.exp(favour[step])
         exact[step, one, two] += prior * np.exp(model.of_lobe(shown)[:2].sum())
     exact /= exact.sum()
     deviation = np.sqrt(exact * (1 - exact) / counts.sum())
@@ -88,7 +85,7 @@ def test_exact_normals_have_no_spread():
     model = Curve(1.0)
     model.data.lobes.spreads = spreads_about(0.0)
     offsets = np.zeros((3, 3), int)
-    materials, moved = draw_normal_spread(model, steps_seen(), grey(), offsets, favour, None)
+    materials, moved = draw_normal_spread(model, steps_seen(), grey(), offsets, None)
     assert moved is offsets and materials.roughness.tolist() == [2, 0]
 
 
