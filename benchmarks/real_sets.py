@@ -38,6 +38,8 @@ SETS = (
 )
 # Photos from the first name to the last one: between two passes the object was turned over.
 PARTS = {"socketed_axe": ("IMG_8835", "IMG_8860")}
+# A turntable's light moves with the camera: the chain refuses it unless told to go on.
+OPTIONS = {"socketed_axe": ["poses={moving_light: accept}"]}
 STOPPED = "Heliograph cannot go on."  # how a stage begins to say what it lacks
 GARDEN = "garden"  # the shipped example, whose truth is known
 GARDEN_ABOVE = 0.004  # metres: below it is the underside, which no photo shows
@@ -135,7 +137,7 @@ def main() -> None:
         folder = scene_folder(args.photos, name)
         try:
             if not args.finished:
-                run(folder, args.preset, args.samples, args.set)
+                run(folder, args.preset, args.samples, args.set + OPTIONS.get(name, []))
             work = (args.finished or ROOT / "work") / name
             rows.append(figures(folder, work))
         except subprocess.CalledProcessError:

@@ -102,8 +102,8 @@ def test_a_digest_follows_imports_and_only_them(code):
 def test_moved_code_changes_the_digest(code):
     """The same text under another name is other code: what imports it has changed."""
     before = digests(code)
-    (code / "pipeline/masks/ground.py").rename(code / "pipeline/masks/ground.py")
-    edit(code / "pipeline/masks/make.py", "pipeline.masks.ground", "pipeline.masks.ground")
+    (code / "pipeline/masks/network.py").rename(code / "pipeline/masks/onnx.py")
+    edit(code / "pipeline/masks/make.py", "pipeline.masks.network", "pipeline.masks.onnx")
     assert changed(before, code) == {"masks"}
 
 
