@@ -97,7 +97,7 @@ def figures(folder: Path, work: Path) -> dict:
         "photos": f"{poses['registered']}/{poses['photos']}",
         "masks": masks["method"],
         "mesh": mesh["method"],
-        "stereo_share": mesh.get("stereo_share"),
+        "stereo_share": mesh.get("depth_share", mesh.get("stereo_share")),
         "parts": mesh.get("parts"),
         "warnings": mesh.get("warnings", []),
     }

@@ -87,7 +87,7 @@ def collect(name: str, samples: int) -> dict:
         "photos": f"{facts['poses']['registered']}/{facts['poses']['photos']}",
         "masks": facts["masks"]["method"],
         "mesh": facts["mesh"]["method"],
-        "stereo_share": facts["mesh"].get("stereo_share"),
+        "stereo_share": facts["mesh"].get("depth_share"),
         "samples": samples,
         "held_out_psnr": sum(scores) / len(scores) if scores else None,
         "seconds": {s: f["seconds"] for s, f in facts.items()}

@@ -1,4 +1,4 @@
-"""Mesh: the object's closed, decimated surface (given, or hull and stereo fused by how much views
+"""Mesh: the object's closed, decimated surface (given, or hull and depth maps fused by how much views
 agree).
 """
 

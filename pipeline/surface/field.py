@@ -1,4 +1,4 @@
-"""Dense fields over a voxel grid from many views: visual hull and stereo. Compiled with numba, one
+"""Dense fields over a voxel grid from many views: visual hull and depth maps. Compiled with numba, one
 thread per slab.
 
 Sign: positive inside the object. Unit: the truncation distance; values clipped to [-1, 1]. Letters

@@ -112,7 +112,7 @@ def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, kept: set[str]) 
     """Write each view's final mask; returns the share of the masks' pixels that the surface does
     not cover.
 
-    Automatic masks may hold ground that stereo has told from the object, or miss a part that all
+    Automatic masks may hold ground that depth has told from the object, or miss a part that all
     other views show: the fused surface knows better, and its silhouette is the final mask. The
     masks of the views in `kept` stay as they are: those that were given, and all where they alone
     made the surface.
