@@ -3,7 +3,6 @@ geometry, path tracer against operator.
 """
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from pipeline.posterior.split_gibbs.lobes import mix
 from pipeline.render.envmap import directions
 from pipeline.render.metrics import render_view
 from pipeline.render.renderer import Renderer
-from pipeline.render.rows import choose_rows
+from pipeline.render.rows import Rows, choose_rows
 from pipeline.render.shading_normals import shading_frames, with_normal_map
 from pipeline.render.transport import Transport
 from tests.conftest import bumpy_normals
@@ -111,11 +110,14 @@ def test_gradients_reach_the_maps_below_a_normal_map(bumpy):
 
 @pytest.mark.parametrize("r,m,a", MATERIALS)
 def test_operator_equals_path_tracer_with_a_map(bumpy, without_map, tmp_path, r, m, a):
-    """As without a map (test_transport.py), pixel by pixel; and the map matters to these rows."""
+    """As without a map (test_transport.py), at pixels by themselves: a mean over bumps is tested
+    there. And the map matters to these rows.
+    """
     mesh = bumpy / "mesh_uv.ply"
     observations = seen(mesh, 3, 1.2, tmp_path)
     renderer = Renderer(mesh, 32, 16, 2)
-    rows = replace(choose_rows(observations, renderer.scene, 60, 3, 0), patch=None)
+    patches = choose_rows(observations, renderer.scene, 60, 3, 0)
+    rows = Rows(patches.observation, patches.point)
     light = smooth_light()
     predicted = lambda path: operator(path, observations, rows, light, r, m, a)
     renderer.set(uniform(light, r, m, a))
