@@ -1,5 +1,5 @@
-"""Mesh: the object's closed, decimated surface (given, or hull and depth maps fused by how much views
-agree).
+"""Mesh: the object's closed, decimated surface (given, or hull and depth maps fused by how much
+photos agree).
 """
 
 from pathlib import Path

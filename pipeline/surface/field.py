@@ -1,5 +1,5 @@
-"""Dense fields over a voxel grid from many views: visual hull and depth maps. Compiled with numba, one
-thread per slab.
+"""Dense fields over a voxel grid from many views: visual hull and depth maps. Compiled with numba,
+one thread per slab.
 
 Sign: positive inside the object. Unit: the truncation distance; values clipped to [-1, 1]. Letters
 of the compiled loops: i, j, k a cell; x, y, z its centre; v a view, m its (3, 4) matrix; d depth; u
