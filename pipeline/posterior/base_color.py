@@ -87,6 +87,29 @@ def coarse_to_fine(sums: TexelSums, around: float) -> np.ndarray:
     return color
 
 
+def shared_between_photos(
+    observations: Observations, shading: Shading, metallic: np.ndarray, size: int
+) -> Shading:
+    """The shading with D as a map of side `size` where the surface is no metal.
+
+    A dielectric's D is the light that falls on the surface, the same for every photo, while its
+    estimates in single photos have the path tracer's noise: on garden they differ by 12 % from
+    their mean, which costs .7 dB. What a metal reflects moves with the view.
+
+    metallic: (n, 1) of every pixel.
+    """
+    solver = ColorSolver(observations, shading, size)
+    weight = solver.cosine
+    sums = TexelSums(
+        solver.onto(weight * shading.scaled),
+        np.repeat(solver.onto(weight), 3, 2),
+        solver.onto(np.ones_like(weight)),
+    )
+    common = solver.at_pixels @ coarse_to_fine(sums, USUAL.around).reshape(-1, 3)
+    scaled = (1 - metallic) * common + metallic * shading.scaled
+    return Shading(scaled.astype(np.float32), shading.rest)
+
+
 def error_weight(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:
     """Weight (n, 3) that makes a difference photo - picture count as that of log(. + SHADE), the
     data term's relative error, does: a photo ten times as bright as the others does not count ten

@@ -18,11 +18,11 @@ import numpy as np
 
 from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
-from pipeline.posterior.base_color import USUAL, Sharpness, color_map
+from pipeline.posterior.base_color import USUAL, Sharpness, color_map, shared_between_photos
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import shade
-from pipeline.posterior.textures import fill, seen_texels
+from pipeline.posterior.textures import fill, gather, seen_texels
 from pipeline.render.renderer import Explanation, resize_explanation
 
 COARSE = 256  # side of the maps while roughness and metallic are moved
@@ -31,6 +31,7 @@ SCALE_PIXELS = 8  # pixels for the light's scale, as a multiple of a step's
 DARKEST_START = 0.02  # base colour: a black one has no direction to move in
 # factor by which roughness may move from a draw: the width of what one draw believes of a region
 ROUGHNESS_FACTOR = 1.3
+FEWER = 5  # part of the final solve's pixels that do for the first one, on coarse maps
 COLOR_UNITS = 25  # progress: a base colour solve takes as long as so many of Adam's steps
 
 
@@ -52,6 +53,8 @@ def solve_base_color(
     begin = np.clip(explanation.base_color, DARKEST_START, ALBEDO_MAX).astype(np.float32)
     explanation = replace(explanation, base_color=begin)
     shading = shade(problem, explanation, pixels, rng)
+    metallic = gather(explanation.metallic, problem.observations.uv)
+    shading = shared_between_photos(problem.observations, shading, metallic, len(begin))
 
     color, facts = color_map(problem.observations, shading, begin, sharpness)
     return replace(explanation, base_color=color), facts
@@ -153,7 +156,7 @@ def refine(
         scale = light_scale(small, coarse, SCALE_PIXELS * settings.pixels, rng)
     coarse = replace(coarse, light=(sample.light * scale).astype(np.float32))
 
-    coarse, first = solve_base_color(small, coarse, settings.shading_pixels, rng, USUAL)
+    coarse, first = solve_base_color(small, coarse, settings.shading_pixels // FEWER, rng, USUAL)
     bar.step("base colour", COLOR_UNITS)
     coarse = move_gloss(small, coarse, settings, drawn, bar, rng)
 

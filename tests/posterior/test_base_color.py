@@ -12,6 +12,7 @@ from pipeline.posterior.base_color import (
     coarse_to_fine,
     color_map,
     error_weight,
+    shared_between_photos,
 )
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import SHADE
@@ -148,3 +149,20 @@ def test_gloss_stays_near_the_draw():
     for _ in range(60):
         materials.step(up)
     assert np.allclose(materials.values["roughness"].numpy(), 0.09)
+
+
+def test_shading_of_a_dielectric_is_shared_between_photos_and_of_a_metal_is_not(truth):
+    """D that follows the surface, with the noise of each photo's own paths."""
+    observations, _ = pixels_of(truth, 60_000)
+    rng = np.random.default_rng(2)
+    smooth = 1 + 0.3 * np.sin(4 * observations.uv[:, :1]) * np.ones(3)
+    noisy = smooth * rng.lognormal(0, 0.2, smooth.shape)
+    shading = Shading(noisy.astype(np.float32), np.full(smooth.shape, 0.05, np.float32))
+
+    metallic = (observations.uv[:, :1] > 0.5).astype(np.float32)
+    shared = shared_between_photos(observations, shading, metallic, SIZE)
+    metal = metallic[:, 0] > 0
+    error = lambda values: np.abs(values / smooth - 1)[~metal].mean()
+    assert error(shared.scaled) < 0.35 * error(noisy)
+    assert np.allclose(shared.scaled[metal], noisy[metal], rtol=1e-5)
+    assert (shared.rest == shading.rest).all()
