@@ -47,8 +47,10 @@ class View:
 
     def scaled(self, factor: float) -> View:
         """The same view at round(width * factor) pixels; intrinsics follow the exact ratios."""
-        width = max(1, round(self.width * factor))
-        height = max(1, round(self.height * factor))
+        return self.at_size(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
+
+    def at_size(self, width: int, height: int) -> View:
+        """The same view at `width` x `height` pixels, the whole picture resized to it."""
         ratio_x = width / self.width
         ratio_y = height / self.height
         return replace(

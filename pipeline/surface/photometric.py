@@ -118,12 +118,11 @@ def affordable(mesh: Mesh, views: list[View], images: list[np.ndarray], pixels: 
 
 
 def _at_size(view: View, image: np.ndarray) -> View:
-    """The view at the size of its image."""
+    """The view at the size of its image, whose sides may be rounded."""
     h, w = image.shape
-    out = view.scaled(w / view.width)
-    if (out.height, out.width) != (h, w):
+    if abs(w * view.height - h * view.width) > max(view.width, view.height):
         raise ValueError(f"an image of {w} x {h} pixels is no reduced picture of {view.name}")
-    return out
+    return view.at_size(w, h)
 
 
 def _reduced(image: np.ndarray, factor: float) -> np.ndarray:

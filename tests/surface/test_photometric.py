@@ -1,5 +1,7 @@
 """Photometric refinement on a ball seen by eight cameras, with and without texture."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from pipeline.base.runtime import import_open3d
 from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import Mesh, vertex_normals
 from pipeline.surface.consistency import Sight, pull, with_slopes
-from pipeline.surface.photometric import Refinement, affordable, refine_mesh
+from pipeline.surface.photometric import Refinement, _at_size, affordable, refine_mesh
 from pipeline.surface.plate import umbrella
 from pipeline.surface.zbuffer import Crop, z_buffer
 from tests.conftest import look_at
@@ -198,3 +200,12 @@ def test_lists_must_match_the_views():
         refine_mesh(mesh, views, images, [[0]] * 8)
     with pytest.raises(ValueError, match="no reduced picture"):
         refine_mesh(mesh, views, [np.zeros((40, 50))] * 8, NEIGHBOURS)
+
+
+def test_pictures_whose_sides_are_rounded_are_reduced_pictures():
+    """675 x 1200 pixels at half their size are 338 x 600."""
+    view = replace(cameras()[0], width=675, height=1200)
+    small = _at_size(view, np.zeros((600, 338), np.float32))
+    assert (small.width, small.height) == (338, 600)
+    assert small.fx == pytest.approx(view.fx * 338 / 675)
+    assert small.fy == pytest.approx(view.fy / 2)
