@@ -34,7 +34,8 @@ class Silhouettes:
 
     rig: all views; carving: those whose masks may remove volume; masks: name -> (h, w) bool;
     tolerance: share of masks that may be wrong; points (n, 3) fill their common volume to within
-    `margin`.
+    `margin`; ground: height of the plane that the object stands on, None where no plane is known or
+    the user's own masks say where the object ends.
     """
 
     rig: Rig
@@ -43,12 +44,7 @@ class Silhouettes:
     tolerance: float
     points: np.ndarray
     margin: float
-
-    @property
-    def ground(self) -> float | None:
-        """Height of the plane that the object stands on, if one is known."""
-        plane = self.rig.facts.get("plane")
-        return None if plane is None else float(plane["offset"])
+    ground: float | None
 
     def grid(self, longest: int) -> Grid:
         """A grid around the object with `longest` cells along its longest side."""
@@ -65,7 +61,9 @@ class Silhouettes:
 
 
 def silhouettes_of(rig: Rig, masks: dict, confidence: dict, given: bool) -> Silhouettes:
-    """Raises InputError where the masks have no volume in common or too few agree."""
+    """What the masks say; given: all of them are the user's own. Raises InputError where they have
+    no volume in common or too few agree.
+    """
     points, margin = coarse_hull(rig, masks)
     carving = [v for v in rig.views if confidence[v.name]["carve"]]
     if len(carving) < 3:
@@ -74,7 +72,9 @@ def silhouettes_of(rig: Rig, masks: dict, confidence: dict, given: bool) -> Silh
             "masks",
             "correct the masks in the scene's folder masks/",
         )
-    return Silhouettes(rig, carving, masks, 0.04 if given else 0.08, points, margin)
+    plane = None if given else rig.facts.get("plane")
+    ground = None if plane is None else float(plane["offset"])
+    return Silhouettes(rig, carving, masks, 0.04 if given else 0.08, points, margin, ground)
 
 
 def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:

@@ -12,7 +12,7 @@ from pipeline.surface.atlas import judge, make_atlas
 from pipeline.surface.clean import facts, largest_solid, signed_volume, simplify, to_mesh
 from pipeline.surface.depth import Depth
 from pipeline.surface.field import hull_of
-from pipeline.surface.fusion import coarse_hull, fuse
+from pipeline.surface.fusion import coarse_hull, fuse, silhouettes_of
 from pipeline.surface.make import given_mesh
 from pipeline.surface.raster import rasterize
 
@@ -53,6 +53,15 @@ def test_one_bad_mask_neither_carves_nor_goes_unnoticed(sphere):
     found = agreement(rig, masks)
     assert not found["v3"]["carve"] and sum(f["carve"] for f in found.values()) == 13
     assert len(hull_points(rig, masks)[0]) > 0
+
+
+def test_given_masks_say_where_the_object_ends_and_not_a_plane_through_it(sphere):
+    rig, masks = sphere
+    rig.facts["plane"] = {"offset": 0.1}
+    sure = {name: {"carve": True} for name in masks}
+    assert silhouettes_of(rig, masks, sure, given=False).ground == 0.1
+    assert silhouettes_of(rig, masks, sure, given=True).ground is None
+    assert silhouettes_of(rig, masks, sure, given=True).grid(32).low[1] < -0.5
 
 
 def test_masks_without_common_volume_are_named(sphere):
