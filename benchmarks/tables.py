@@ -276,9 +276,10 @@ def real_set_rows() -> list[tuple[str, str, dict]]:
     found = {"before": by_scene("real_sets_before")}
     if (RESULTS / "real_sets.json").exists():
         found["now"] = by_scene("real_sets")
+    scenes = dict.fromkeys(scene for rows in found.values() for scene in rows)
     return [
         (scene, when, rows[scene])
-        for scene in found["before"]
+        for scene in scenes
         for when, rows in found.items()
         if scene in rows
     ]
@@ -302,8 +303,11 @@ def real_sets() -> str:
             cells.append(", ".join(number(sample[key], 2) for sample in row["samples"]))
         body.append([scene, when, *cells])
     means = []
-    for when in dict.fromkeys(when for _, when, _ in real_set_rows()):
-        rows = [row for _, w, row in real_set_rows() if w == when and "failed" not in row]
+    times = list(dict.fromkeys(when for _, when, _ in real_set_rows()))
+    good = [(scene, when) for scene, when, row in real_set_rows() if "failed" not in row]
+    in_all = {scene for scene, _ in good if all((scene, when) in good for when in times)}
+    for when in times:
+        rows = [row for scene, w, row in real_set_rows() if w == when and scene in in_all]
         cells = [
             number(float(np.mean([nested(row, *k) for row in rows])), d)
             for _, k, d in REAL_SETS[:3]
