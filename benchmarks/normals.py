@@ -121,8 +121,7 @@ def chosen(views: list[View], limit: int = VIEWS) -> list[View]:
 
 def pixel_rays(view: View) -> tuple[np.ndarray, np.ndarray]:
     """Origins and directions (h w, 3) of the rays through all pixels' centres."""
-    u, v = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
-    origins, directions = view.rays(np.stack([u.ravel(), v.ravel()], -1))
+    origins, directions = view.rays(view.pixel_centers().reshape(-1, 2))
     return np.array(origins), directions
 
 

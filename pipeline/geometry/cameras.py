@@ -75,6 +75,11 @@ class View:
         v = self.fy * p[..., 1] / divisor + self.cy
         return np.stack([u, v], -1), depth
 
+    def pixel_centers(self) -> np.ndarray:
+        """Pixel coordinates (h, w, 2) of the centres of all pixels."""
+        u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        return np.stack([u, v], -1)
+
     def rays(self, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixel coordinates (..., 2) -> origins and unit directions (..., 3) in the world frame."""
         x = (uv[..., 0] - self.cx) / self.fx

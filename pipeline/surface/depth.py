@@ -87,8 +87,7 @@ class HullRange:
 
     def __call__(self, view: View) -> tuple[np.ndarray, np.ndarray]:
         """Nearest and farthest depth (h, w) float32 along the optical axis; 0 beside the hull."""
-        u, v = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
-        o, d = view.rays(np.stack([u, v], -1))
+        o, d = view.rays(view.pixel_centers())
         beyond = 2 * float(
             np.linalg.norm(view.position - 0.5 * (self.low + self.high))
             + np.linalg.norm(self.high - self.low)
@@ -178,7 +177,7 @@ def random_planes(
     camera.
     """
     depth = near + (far - near) * rng.random(near.shape) ** 2
-    u, v = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
+    u, v = np.moveaxis(view.pixel_centers(), -1, 0)
     q = np.stack([(u - view.cx) / view.fx, (v - view.cy) / view.fy, np.ones_like(u)], -1)
     to_camera = -q / np.linalg.norm(q, axis=-1, keepdims=True)
     normal = rng.normal(size=q.shape)
@@ -271,12 +270,13 @@ def depth_maps(
 
     large = Photos.at([v.scaled(scale) for v in views], images)
     starts = [enlarged(p, v) for p, v in zip(planes, large.views)]
+    reaches = [between(v) for v in large.views]
     for turn in range(FINE_ROUNDS):
         depths = large.padded([p.depth for p in starts])
-        for k, view in enumerate(progress(large.views, f"depth, fine {turn + 1}", len(views))):
+        for k, reach in enumerate(progress(reaches, f"depth, fine {turn + 1}", len(views))):
             if partners[k]:
                 starts[k] = improved(
-                    large, k, partners[k], between(view), starts[k], depths, 1, 0.02, seed + turn
+                    large, k, partners[k], reach, starts[k], depths, 1, 0.02, seed + turn
                 )
     return consistent(large, starts, neighbours(views, center, CHECKED), AGREE * radius)
 

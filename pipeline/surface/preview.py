@@ -31,8 +31,7 @@ class Silhouette:
 
     def __call__(self, view: View) -> np.ndarray:
         """(h, w) bool, by a ray through each pixel's centre."""
-        u, v = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
-        rays = np.concatenate(view.rays(np.stack([u, v], -1)), -1).astype(np.float32)
+        rays = np.concatenate(view.rays(view.pixel_centers()), -1).astype(np.float32)
         hit = self.scene.cast_rays(self.o3d.core.Tensor(rays))
         return np.isfinite(hit["t_hit"].numpy())
 
