@@ -18,9 +18,21 @@ from pathlib import Path
 
 from pipeline.base.errors import InputError
 from pipeline.run.digest import code_digest
-from pipeline.run.workflow import Scenes, stage_command, unfinished_runs
+from pipeline.run.user import name_the_user
+from pipeline.run.workflow import Scenes, stage_command
 
-scenes = Scenes(config, exclusive=workflow.is_main_process and not workflow.dryrun)
+name_the_user()
+
+
+def at_work():
+    """Whether this process is to make results: no dry run, no drawing of the plan. Snakemake knows
+    that from when it plans, not yet while it reads this file.
+    """
+    executes = workflow.executor_plugin is not None and not workflow.dryrun
+    return workflow.is_main_process and executes
+
+
+scenes = Scenes(config, exclusive=at_work)
 WORK = "work/{wildcards.scene:q}"  # in shell commands; :q quotes the name
 EXPLANATION = ["light.exr", "base_color.exr", "roughness.exr", "metallic.exr"]
 
@@ -39,11 +51,11 @@ def job_of(stage, wildcards):
 
 
 def settings(stage, *sections):
-    """Decide whether `stage` is due: its slice of the configuration, its code, unfinished runs."""
+    """Decide whether `stage` is due: its settings, its code, unfinished runs, damaged results."""
     return lambda w: (
         ask(scenes.slice, w.scene, *sections),
         code_digest(stage),
-        unfinished_runs(w.scene, job_of(stage, w)),
+        ask(scenes.unfinished, w.scene, job_of(stage, w)),
     )
 
 
@@ -171,7 +183,7 @@ rule observe:
     benchmark:
         "work/{scene}/benchmarks/observe.tsv"
     params:
-        due=settings("observe", "observe"),
+        due=settings("observe", "observe", "poses"),
     shell:
         command(
             "observe",
@@ -190,10 +202,31 @@ PROBLEM = [
 PROBLEM_OPTIONS = " ".join(f"--{s} {WORK}/{s}" for s in ("observe", "poses", "atlas", "mesh"))
 
 
+# How much model the scene needs; fit, sample, refine and report take the settings that it chose.
+rule choose:
+    input:
+        PROBLEM,
+    output:
+        made("choose", "choose.json"),
+    log:
+        "work/{scene}/logs/choose.log",
+    benchmark:
+        "work/{scene}/benchmarks/choose.tsv"
+    params:
+        due=lambda w: (settings("choose", "choose")(w), ask(scenes.choosable, w.scene)),
+    shell:
+        command("choose", f"{PROBLEM_OPTIONS} --out {WORK}/choose")
+
+
+CHOSEN = "work/{scene}/choose/choose.json"
+CHOSEN_OPTION = f"--choose {WORK}/choose"
+
+
 # Point estimate of light and materials, Eq. 15.
 rule fit:
     input:
         PROBLEM,
+        CHOSEN,
     output:
         made("fit", "fit.json", *EXPLANATION),
     log:
@@ -204,7 +237,7 @@ rule fit:
     params:
         due=settings("fit", "fit", "render"),
     shell:
-        command("fit", f"{PROBLEM_OPTIONS} --out {WORK}/fit")
+        command("fit", f"{PROBLEM_OPTIONS} {CHOSEN_OPTION} --out {WORK}/fit")
 
 
 # One posterior draw, by `split_gibbs` unless sample.method says otherwise (Eqs. 13, 16, 19 belong
@@ -212,6 +245,7 @@ rule fit:
 rule sample:
     input:
         PROBLEM,
+        CHOSEN,
         rules.fit.output,
         scene_files("priors"),
     output:
@@ -226,7 +260,7 @@ rule sample:
     shell:
         command(
             "sample",
-            f"{PROBLEM_OPTIONS} --fit {WORK}/fit --index {{wildcards.sample}} "
+            f"{PROBLEM_OPTIONS} {CHOSEN_OPTION} --fit {WORK}/fit --index {{wildcards.sample}} "
             f"--out {WORK}/sample/{{wildcards.sample}}",
             job="sample_{wildcards.sample}",
         )
@@ -236,6 +270,7 @@ rule sample:
 rule refine:
     input:
         PROBLEM,
+        CHOSEN,
         rules.sample.output,
     output:
         made("refine/{sample}", "refine.json", *EXPLANATION),
@@ -248,7 +283,7 @@ rule refine:
     shell:
         command(
             "refine",
-            f"{PROBLEM_OPTIONS} --sample {WORK}/sample/{{wildcards.sample}} "
+            f"{PROBLEM_OPTIONS} {CHOSEN_OPTION} --sample {WORK}/sample/{{wildcards.sample}} "
             f"--index {{wildcards.sample}} --out {WORK}/refine/{{wildcards.sample}}",
             job="refine_{wildcards.sample}",
         )

@@ -1,6 +1,10 @@
 #!/bin/sh
 # Make or bring up to date the environment .venv: Python >= 3.11, no root, nothing but the package
 # index. Every package is pinned in requirements.lock and checked against its hash there.
+#
+#   sh setup.sh          the environment of this checkout
+#   sh setup.sh --keep   the same, and its packages are kept for other checkouts on this machine: their
+#                        set-up starts from links to them, and asks the index only for what differs
 set -eu
 cd "$(dirname "$0")"
 PYTHON="${PYTHON:-python3}"
@@ -8,6 +12,7 @@ PIECE=12             # packages per call of pip: the disk never holds every whee
 NEEDED_MIB=9000      # the environment has 7 GB, and one piece's wheels stand beside it for a while
 lock_done=.venv/.heliograph-lock
 project_done=.venv/.heliograph-project
+kept="${XDG_CACHE_HOME:-${HOME:-/nonexistent}/.cache}/heliograph/environment"
 
 fail() {
     printf '\nsetup.sh: %s\n' "$1" >&2
@@ -25,14 +30,18 @@ is_done() { # is_done FILE COPY: FILE has not changed since COPY was made of it
 # split LOCK FOLDER: the lock in files of PIECE requirements each, hashes with their requirement.
 # 00 holds what pip needs to install others: a build back-end and the runtime of karellen-llvm-core.
 split() {
-    awk -v piece="$PIECE" -v folder="$2" '
-        /^#/ || /^[[:space:]]*$/ { next }
-        /^[^[:space:]]/ {
-            if ($0 ~ /^(setuptools|wheel-axle-runtime)==/) number = 0
-            else { number = 1 + int(count / piece); count++ }
-        }
-        { print > sprintf("%s/%02d", folder, number) }
-    ' "$1"
+    "$PYTHON" - "$1" "$2" "$PIECE" <<'END'
+import re, sys
+from pathlib import Path
+
+lock, folder, size = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+requirements = re.findall(r"^[^#\s].*\n(?:\s+\S.*\n)*", lock.read_text(), flags=re.MULTILINE)
+first = [r for r in requirements if re.match("(setuptools|wheel-axle-runtime)==", r)]
+rest = [r for r in requirements if r not in first]
+pieces = [first, *(rest[k : k + size] for k in range(0, len(rest), size))]
+for number, piece in enumerate(pieces):
+    (folder / f"{number:02d}").write_text("".join(piece))
+END
 }
 
 install_lock() {
@@ -53,20 +62,73 @@ install_lock() {
     cp requirements.lock "$lock_done"
 }
 
+# copy FROM TO: links to the same files, copies where the file system cannot link
+copy() {
+    cp -al "$1" "$2" 2>/dev/null || { rm -rf "$2" && cp -a "$1" "$2"; }
+}
+
+keep() {
+    mkdir -p "$(dirname "$kept")"
+    rm -rf "$kept.new"
+    copy .venv "$kept.new"
+    rm -rf "$kept"
+    mv "$kept.new" "$kept"
+    echo "packages kept in $kept; delete that folder to be rid of them"
+}
+
+version_of() { # version_of PYTHON: its version, compiler and build
+    "$1" -c 'import sys; print(sys.version)'
+}
+
+# start_from_kept: .venv from the kept environment; fails where there is none of this Python, or where
+# a script's first line cannot name this folder. Scripts name the folder they were installed in.
+start_from_kept() {
+    case "$PWD" in *[[:space:]]*) return 1 ;; esac
+    [ "${#PWD}" -lt 100 ] || return 1
+    [ -x "$kept/bin/python" ] && [ "$(version_of "$kept/bin/python")" = "$(version_of "$PYTHON")" ] ||
+        return 1
+    echo "starting from the packages in $kept"
+    copy "$kept" .venv || fail "the packages in $kept could not be copied; is the disk full?"
+    "$PYTHON" - .venv <<'END' || fail "the scripts of .venv could not be written"
+import re, sys
+from pathlib import Path
+
+new = Path(sys.argv[1]).resolve()
+settings = new / "pyvenv.cfg"
+old = re.search(r"^command = .* -m venv (.+)$", settings.read_text(), flags=re.MULTILINE)[1]
+for file in [settings, *(f for f in (new / "bin").iterdir() if f.is_file() and not f.is_symlink())]:
+    data = file.read_bytes()
+    if old.encode() in data:
+        mode = file.stat().st_mode
+        file.unlink()  # a link to the kept file, which must stay as it is
+        file.write_bytes(data.replace(old.encode(), str(new).encode()))
+        file.chmod(mode)
+END
+    rm -f "$project_done"
+}
+
+make_environment() {
+    # shellcheck disable=SC2046  # the words of a line
+    set -- $(df -Pm . | tail -n 1)
+    [ "$4" -ge "$NEEDED_MIB" ] || fail "$4 MiB are free on this disk; $NEEDED_MIB are needed"
+    echo "making the environment .venv"
+    "$PYTHON" -m venv .venv || fail "'$PYTHON -m venv' failed; does this Python have its venv package?"
+}
+
+case "${1:-}" in
+    "" | --keep) ;;
+    *) fail "unknown argument '$1'; the only one is --keep" ;;
+esac
 command -v "$PYTHON" >/dev/null || fail "there is no '$PYTHON'; set PYTHON to a Python >= 3.11"
 "$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
     fail "Heliograph needs Python 3.11 or newer, this is $("$PYTHON" --version); set PYTHON to another"
 
 if is_done requirements.lock "$lock_done" && is_done pyproject.toml "$project_done"; then
+    [ -z "${1:-}" ] || keep
     exit 0
 fi
 
-if [ ! -x .venv/bin/python ]; then
-    free=$(df -Pm . | awk 'NR == 2 { print $4 }')
-    [ "$free" -ge "$NEEDED_MIB" ] || fail "$free MiB are free on this disk; $NEEDED_MIB are needed"
-    echo "making the environment .venv"
-    "$PYTHON" -m venv .venv || fail "'$PYTHON -m venv' failed; does this Python have its venv package?"
-fi
+[ -x .venv/bin/python ] || start_from_kept || make_environment
 
 if ! is_done requirements.lock "$lock_done"; then
     echo "installing requirements.lock (7 GB, half of it CUDA libraries that torch's wheel links against)"
@@ -78,3 +140,4 @@ pip --no-build-isolation --editable . || fail "pip could not install this folder
 cp pyproject.toml "$project_done"
 
 .venv/bin/heliograph doctor
+[ -z "${1:-}" ] || keep

@@ -5,10 +5,12 @@ python -m benchmarks.make_scene ASSET LIGHT.exr OUT [--relight A.exr B.exr] [--s
 
 ASSET is a folder with mesh.ply (Z-up, v up), base_color.png (sRGB), roughness.png and metallic.png.
 OUT gets images/, masks/, transforms.json, transforms_test.json and mesh.ply as docs/scene_folder.md
-describes them (Z-up), and truth/, which no stage reads: envmap.exr, the light; albedo/, roughness/
-and metallic/ of every view; relight/, the test views under the same light (<view>_self.exr) and
-under those of --relight. The photos are exposed so that 3 % of the object is near clipping; truth/
-has the lights at that exposure.
+describes them (Z-up), and truth/, which no stage reads: envmap.exr, the light; linear/, what the
+photos show before they are clipped and rounded; albedo/, roughness/ and metallic/ of every view;
+relight/, the test views under the same light (<view>_self.exr) and under those of --relight.
+linear/again/ and relight/<light>/again/ have the test views once more, rendered with noise of their
+own, so that a score can leave the truth's noise out (pipeline.render.metrics.psnr). The photos are
+exposed so that 3 % of the object is near clipping; truth/ has the lights at that exposure.
 
 Frame of what is computed here: Y-up, the object at the origin.
 """
@@ -24,23 +26,21 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from benchmarks.true_maps import FIELD_OF_VIEW, camera_positions, transform_matrix, write_truth
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import stage_folder
 from pipeline.base.images import read_exr, to_srgb8, write_exr
 from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba as mi
-from pipeline.geometry.cameras import Y_FROM_Z_UP
 from pipeline.render.envmap import check_lat_long
 
 ASSET_FILES = ("mesh.ply", "base_color.png", "roughness.png", "metallic.png")
-FIELD_OF_VIEW = 40.0  # degrees
-DISTANCE = 3.3  # of the cameras from the origin
-GOLDEN_ANGLE = 2.399963
 MAX_DEPTH = 6  # path vertices after the camera
 BRIGHT = 0.85  # what the object's 97th percentile is exposed to
 PROBE_SIZE = 96  # pixels along a side of the pictures that exposure is measured on
 PROBE_SPP = 32
 MASK_SPP = 16
+AGAIN = 500  # added to a picture's seed when it is rendered a second time
 
 
 @dataclass
@@ -52,18 +52,6 @@ class Options:
     views: int = 16
     test: int = 4
     seed: int = 0
-
-
-def camera_positions(
-    count: int, seed: int, lowest: float = -10.0, highest: float = 65.0
-) -> np.ndarray:
-    """Camera centres (count, 3), spread evenly between two elevations in degrees."""
-    rng = np.random.default_rng(seed)
-    low, high = np.sin(np.radians([lowest, highest]))
-    y = low + (high - low) * (np.arange(count) + 0.5) / count
-    azimuth = GOLDEN_ANGLE * np.arange(count) + rng.uniform(0, 2 * np.pi)
-    across = np.sqrt(1 - y**2)
-    return DISTANCE * np.stack([across * np.sin(azimuth), y, across * np.cos(azimuth)], -1)
 
 
 def sensor(position: np.ndarray, size: int):
@@ -88,17 +76,6 @@ def sensor(position: np.ndarray, size: int):
     )
 
 
-def transform_matrix(position: np.ndarray) -> list:
-    """Camera-to-world (4, 4) of transforms.json: OpenGL axes, Z-up world."""
-    backward = position / np.linalg.norm(position)
-    right = np.cross([0, 1, 0], backward)
-    right /= np.linalg.norm(right)
-
-    matrix = np.eye(4)
-    matrix[:3] = np.stack([right, np.cross(backward, right), backward, position], 1)
-    return (Y_FROM_Z_UP.T @ matrix).tolist()
-
-
 def read_light(path: Path) -> np.ndarray:
     """Radiance (h, w, 3). Raises InputError when the file is missing, unreadable or no light.
 
@@ -118,8 +95,12 @@ def check_asset(asset: Path) -> None:
             )
 
 
-def load_scene(asset: Path, light: np.ndarray):
-    """Mitsuba's scene of the asset, turned to Y-up, in a light (h, w, 3)."""
+def load_scene(
+    asset: Path, light: np.ndarray, turned: float = 0.0, more: dict[str, dict] | None = None
+):
+    """Mitsuba's scene of the asset, turned to Y-up, in a light (h, w, 3), which is turned about the
+    vertical by so many degrees. more: further shapes of the scene, by name.
+    """
 
     def texture(name: str, raw: bool) -> dict:
         return {"type": "bitmap", "filename": str(asset / name), "raw": raw}
@@ -139,7 +120,9 @@ def load_scene(asset: Path, light: np.ndarray):
         "bsdf": {"type": "twosided", "b": material},
     }
     env = {"type": "envmap", "bitmap": mi.Bitmap(light.astype(np.float32))}
-    return mi.load_dict({"type": "scene", "env": env, "obj": mesh})
+    if turned:
+        env["to_world"] = mi.ScalarTransform4f().rotate([0, 1, 0], turned)
+    return mi.load_dict({"type": "scene", "env": env, "obj": mesh, **(more or {})})
 
 
 def render(scene, camera, spp: int, seed: int = 0) -> np.ndarray:
@@ -161,40 +144,10 @@ def exposed(asset: Path, light: np.ndarray, positions: np.ndarray):
     return light, load_scene(asset, light), float(factor)
 
 
-def surface_points(scene, camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every pixel: texture coordinates of one point that it shows (h, w, 2), whether it shows
-    one (h, w), and whether any of many rays through it meets the object (h, w).
-    """
-    aovs = mi.load_dict({"type": "aov", "aovs": "uv:uv,dd:depth"})
+def object_mask(scene, camera) -> np.ndarray:
+    """Whether any of many rays through a pixel meets the object, (h, w)."""
     depth = mi.load_dict({"type": "aov", "aovs": "dd:depth"})
-    one = np.array(mi.render(scene, sensor=camera, integrator=aovs, spp=1))
-    many = np.array(mi.render(scene, sensor=camera, integrator=depth, spp=MASK_SPP))
-
-    uv = np.stack([one[..., 0], 1 - one[..., 1]], -1)  # the mesh was loaded with flipped v
-    return uv, one[..., -1] > 0, many[..., 0] > 0
-
-
-def look_up(path: Path, uv: np.ndarray) -> np.ndarray:
-    """Nearest texel of an 8-bit grey (h, w) or, for base_color.png, linear colour texture."""
-    colored = path.name == "base_color.png"
-    with Image.open(path) as image:
-        texture = np.asarray(image.convert("RGB" if colored else "L"), np.float64) / 255
-    if colored:  # in double precision, unlike base.images: this is the truth
-        texture = np.where(texture <= 0.04045, texture / 12.92, ((texture + 0.055) / 1.055) ** 2.4)
-
-    h, w = texture.shape[:2]
-    column = np.clip(((uv[..., 0] % 1) * w).astype(int), 0, w - 1)
-    row = np.clip(((1 - uv[..., 1] % 1) * h).astype(int), 0, h - 1)
-    return texture[row, column]
-
-
-def write_truth(asset: Path, uv: np.ndarray, hit: np.ndarray, out: Path, name: str) -> None:
-    """Base colour, roughness and metallic of one view under truth/, zero where it shows nothing."""
-    color = look_up(asset / "base_color.png", uv) * hit[..., None]
-    write_exr(out / "truth" / "albedo" / f"{name}.exr", color)
-    for key in ("roughness", "metallic"):
-        value = look_up(asset / f"{key}.png", uv) * hit
-        write_exr(out / "truth" / key / f"{name}.exr", value)
+    return np.array(mi.render(scene, sensor=camera, integrator=depth, spp=MASK_SPP))[..., 0] > 0
 
 
 def write_split(
@@ -205,14 +158,18 @@ def write_split(
     for k, position in enumerate(progress(positions, f"{split} views")):
         name = f"{split}_{k:03d}"
         camera = sensor(position, options.size)
-        picture = render(scene, camera, options.spp, seed=k + 1000 * options.seed)
-        uv, hit, mask = surface_points(scene, camera)
+        seed = k + 1000 * options.seed
+        picture = render(scene, camera, options.spp, seed)
+        mask = object_mask(scene, camera)
 
         Image.fromarray(to_srgb8(picture)).save(out / "images" / f"{name}.png")
         Image.fromarray((mask * 255).astype(np.uint8)).save(out / "masks" / f"{name}.png")
-        write_truth(asset, uv, hit, out, name)
+        write_truth(asset, position, options.size, out, name)
+        write_exr(out / "truth" / "linear" / f"{name}.exr", picture)
         if split == "test":
             write_exr(out / "truth" / "relight" / f"{name}_self.exr", picture)
+            again = render(scene, camera, options.spp, seed + AGAIN)
+            write_exr(out / "truth" / "linear" / "again" / f"{name}.exr", again)
         frames.append(
             {
                 "file_path": f"images/{name}.png",
@@ -236,12 +193,15 @@ def write_relit(
     folder.mkdir()
     write_exr(folder.with_suffix(".exr"), light)
     for k, position in enumerate(progress(positions, f"under {name}")):
-        picture = render(scene, sensor(position, options.size), options.spp)
-        write_exr(folder / f"test_{k:03d}.exr", picture)
+        camera = sensor(position, options.size)
+        write_exr(folder / f"test_{k:03d}.exr", render(scene, camera, options.spp))
+        again = render(scene, camera, options.spp, AGAIN)
+        write_exr(folder / "again" / f"test_{k:03d}.exr", again)
 
 
 def make_scene(asset: Path, light: Path, relights: list[Path], options: Options, out: Path) -> dict:
-    """Write the scene folder `out`; returns its name and the exposure factor.
+    """Write the scene folder `out`; returns its name and the exposure factor. Of the same bits
+    whenever it is made, where Dr.Jit has one thread.
 
     Raises InputError when a file of the asset or a light is missing, or `out` holds something.
     """
@@ -253,7 +213,7 @@ def make_scene(asset: Path, light: Path, relights: list[Path], options: Options,
 
     train = camera_positions(options.views, options.seed)
     test = camera_positions(options.test, options.seed + 100, 5, 50)
-    with stage_folder(out) as folder:
+    with stage_folder(out, "truth/envmap.exr") as folder:
         for name in ("images", "masks"):
             (folder / name).mkdir()
         for name in ("albedo", "roughness", "metallic", "relight"):

@@ -52,7 +52,7 @@ def part_of(folder: Path, first: str, last: str) -> Path:
     """
     out = ROOT / "work" / "sets" / folder.name
     count = 0
-    with stage_folder(out) as partial:
+    with stage_folder(out, "images") as partial:
         for kind in ("images", "masks"):
             (partial / kind).mkdir()
             for file in sorted((folder / kind).glob("*")):

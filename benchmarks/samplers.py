@@ -35,7 +35,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy import stats
 
 from pipeline.base.config import parse_scene
 from pipeline.base.errors import run_stage
@@ -49,6 +48,7 @@ from pipeline.posterior.samplers import SAMPLERS
 from pipeline.posterior.split_gibbs.regions import group
 from pipeline.posterior.textures import gather
 from pipeline.prior.load import load_prior
+from pipeline.render.draw_metrics import coverage
 from pipeline.render.envmap import resample_area, sh_coefficients
 from pipeline.render.metrics import held_out_photos, light_psnr, psnr, render_twice, view_rays
 from pipeline.render.observe import Tracer
@@ -177,29 +177,6 @@ class Truth:
             "relit_psnr": psnr(pixels, self.relit, again=again),
             **self.gloss_errors(x),
         }, self.unknowns(x.light, colours, 0.5 * (pixels + again))
-
-
-def coverage(draws: np.ndarray, truth: np.ndarray) -> dict:
-    """Share of the unknowns whose true value (k,) the central interval of draws (n, k) holds, per
-    nominal share.
-
-    A new draw falls between order statistics i and j of n others with probability (j - i) / (n +
-    1), so 9 draws have an 80 % interval between least and greatest; wider ones are Student's
-    predictive intervals.
-    """
-    n = len(draws)
-    out = {}
-    for nominal in (0.5, 0.8, 0.95):
-        rank = 0.5 * (1 - nominal) * (n + 1)
-        if rank >= 1:
-            low, high = np.quantile(draws, [(rank - 1) / (n - 1), 1 - (rank - 1) / (n - 1)], axis=0)
-        else:
-            deviations = stats.t.ppf(0.5 + 0.5 * nominal, n - 1)
-            reach = deviations * draws.std(0, ddof=1) * np.sqrt(1 + 1 / n)
-            low = draws.mean(0) - reach
-            high = draws.mean(0) + reach
-        out[f"{nominal:.0%}"] = float(((truth >= low) & (truth <= high)).mean())
-    return out
 
 
 def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict:

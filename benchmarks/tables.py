@@ -21,6 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import parsimony_tables, surfaces_tables, trust_tables
+from benchmarks.markdown import number, pipe_table
+from benchmarks.stability import limits as stability
+from benchmarks.study import pages as study_pages
+from benchmarks.work import tables as work_tables
 from pipeline.base.errors import InputError, nearest, run_stage
 from pipeline.base.files import atomic_path, read_json, write_json
 
@@ -39,20 +44,6 @@ def results(name: str) -> dict:
 def rows_of(name: str) -> list[dict]:
     """The rows of benchmarks/results/NAME.json."""
     return results(name)["data"]["rows"]
-
-
-def number(value: float | None, digits: int = 1) -> str:
-    """A figure as the tables print it: .78 for 0.78, nothing for None."""
-    if value is None:
-        return ""
-    text = f"{value:.{0 if value >= 100 else digits}f}"
-    return re.sub(r"^(-?)0\.", r"\1.", text) if digits > 1 else text
-
-
-def pipe_table(head: list[str], body: list[list[str]]) -> str:
-    """A Markdown table."""
-    lines = [head, ["---"] * len(head), *body]
-    return "".join("| " + " | ".join(line) + " |\n" for line in lines)
 
 
 def source(name: str) -> str:
@@ -328,6 +319,29 @@ def real_sets_truth() -> str:
     return pipe_table(["set", "", *(heading for heading, *_ in REAL_TRUTH)], body)
 
 
+SURROUNDINGS = [
+    ("held-out dB", "held_out_psnr", 2),
+    ("held-out dB, dome alone", "alone_psnr", 2),
+    ("light dB", "light_psnr", 1),
+    ("sky dB", "sky_psnr", 1),
+    ("relit dB", "relit_psnr", 1),
+    ("radiance over truth", "radiance_over_truth", 2),
+    ("ground: radii", "ground_extent", 1),
+    ("background: share of sphere", "background_share_of_sphere", 3),
+]
+
+
+def surroundings() -> str:
+    """What the photos show around the object as evidence, each part on and off."""
+    body = [
+        [row["scene"], row["variant"]]
+        + [number(row.get(key), digits) for _, key, digits in SURROUNDINGS]
+        for row in rows_of("surroundings")
+    ]
+    head = ["scene", "evidence", *(heading for heading, *_ in SURROUNDINGS)]
+    return pipe_table(head, body) + source("surroundings")
+
+
 def prior() -> str:
     """Fréchet distances and what else tells a prior's samples from maps."""
     rows = rows_of("prior")
@@ -421,6 +435,68 @@ def calibration_p() -> str:
     return pipe_table(["statistic", "p"], [[name, text(p)] for name, p in found])
 
 
+def bad_input() -> str:
+    """Cases of the corpus by group, before and now; without those that a machine cannot try."""
+    tried_in = lambda name: [row for row in rows_of(name) if row["happened"] != "not tried"]
+    now, before = tried_in("bad_input"), tried_in("bad_input_before")
+    groups = list(dict.fromkeys(row["group"] for row in now))
+    right = lambda rows, group: sum(r["right"] for r in rows if group in (r["group"], "all"))
+    tried = lambda rows, group: sum(group in (r["group"], "all") for r in rows)
+    body = [
+        [
+            group,
+            str(tried(now, group)),
+            str(right(now, group)),
+            f"{right(before, group)} of {tried(before, group)}",
+        ]
+        for group in [*groups, "all"]
+    ]
+    head = ["what is spoilt", "cases", "right", "right before"]
+    return pipe_table(head, body) + source("bad_input") + source("bad_input_before")
+
+
+def changed_files() -> str:
+    """Files changed at random, by reader (benchmarks.corpus.fuzz_readers)."""
+    body = [
+        [
+            row["reader"],
+            str(row["inputs"]),
+            str(row["taken"]),
+            str(row["inputs"] - row["taken"] - sum(find["times"] for find in row["finds"])),
+            str(sum(find["times"] for find in row["finds"])),
+            number(row["seconds"], 0),
+        ]
+        for row in rows_of("fuzz_readers")
+    ]
+    head = ["reader", "files", "taken, and right", "refused by a message", "finds", "seconds"]
+    return pipe_table(head, body) + source("fuzz_readers")
+
+
+def faults() -> str:
+    """How often a re-run ended with the undisturbed bytes, by what had happened before it."""
+    groups: dict[str, list[dict]] = {}
+    for row in rows_of("faults"):
+        kind = "a full disk, in each stage" if "disk full" in row["fault"] else row["fault"]
+        groups.setdefault(kind, []).append(row)
+    body = []
+    for kind, rows in groups.items():
+        tried = [row for row in rows if row["tried"]]
+        seconds = number(float(np.median([row["seconds"] for row in tried])), 0) if tried else ""
+        body.append([kind, str(len(tried)), str(sum(row["right"] for row in tried)), seconds])
+    head = ["what happened", "tried", "right", "re-run s, median"]
+    return pipe_table(head, body) + source("faults")
+
+
+def parsimony() -> str:
+    """What the choose stage saves and costs, over all scenes."""
+    return parsimony_tables.summary(rows_of("parsimony")) + source("parsimony")
+
+
+def parsimony_scenes() -> str:
+    """The same for every scene."""
+    return parsimony_tables.by_scene(rows_of("parsimony")) + source("parsimony")
+
+
 TABLES = {
     make.__name__: make
     for make in (
@@ -435,14 +511,54 @@ TABLES = {
         scenes,
         real_sets,
         real_sets_truth,
+        surroundings,
         prior,
         prior_seconds,
         lights,
         spread,
         calibration,
         calibration_p,
+        bad_input,
+        changed_files,
+        faults,
+        parsimony,
+        parsimony_scenes,
     )
 }
+
+
+def study(make: Callable[[dict], str]) -> Callable[[], str]:
+    """A table of the study on suite XS, from its committed rows."""
+    return lambda: make(results("study_xs")["data"])
+
+
+TABLES |= {name: study(make) for name, make in study_pages.TABLES.items()}
+TABLES["study_source"] = lambda: source("study_xs")
+TABLES["study_s_scores"] = lambda: study_pages.TABLES["study_scores"](results("study_s")["data"])
+TABLES["study_s_by_scene"] = lambda: (
+    study_pages.TABLES["study_by_scene"](results("study_s")["data"]) + source("study_s")
+)
+
+
+def stability_cures() -> str:
+    """Points of the suite before and after what was cured."""
+    found = [results(name)["data"] for name in ("stability_before", "stability_after")]
+    return stability.cures(*found) + source("stability_before") + source("stability_after")
+
+
+def stability_table(make: Callable[[dict], str]) -> Callable[[], str]:
+    """A table of the stability suite, from its committed rows."""
+    return lambda: make(results("stability")["data"]) + source("stability")
+
+
+TABLES["stability_cures"] = stability_cures
+TABLES["trust_summary"] = lambda: trust_tables.summary(rows_of("trust"))
+TABLES["trust_wrong"] = lambda: trust_tables.wrong(rows_of("trust")) + source("trust")
+TABLES |= {name: stability_table(make) for name, make in stability.TABLES.items()}
+TABLES["surfaces_choice"] = lambda: surfaces_tables.choice(results("surfaces")["data"])
+TABLES["surfaces"] = lambda: surfaces_tables.table(results("surfaces")["data"]) + source("surfaces")
+TABLES["work_slopes"] = lambda: work_tables.slopes(results("work")["data"])
+TABLES["work_figures"] = lambda: work_tables.figures(results("work")["data"]) + source("work")
 
 
 def pages() -> list[Path]:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 
 from benchmarks.scenes import machine
@@ -172,8 +173,11 @@ def lit_sample(folder: Path, seen: np.ndarray) -> dict:
     `seen` (t, t). A stage that scores random pixels of the views says the score's standard error.
     """
     facts = read_json(folder / "refine.json")
-    roughness = read_exr(folder / "roughness.exr")[seen]
-    metallic = read_exr(folder / "metallic.exr")[seen]
+    roughness, metallic = (read_exr(folder / f"{name}.exr") for name in ("roughness", "metallic"))
+    # the choose stage may have made these smaller than the base colour
+    size = roughness.shape[::-1]
+    seen = cv2.resize(seen.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    roughness, metallic = roughness[seen], metallic[seen]
     return {
         "psnr": facts["held_out_psnr"],
         "psnr_standard_error": facts.get("held_out_standard_error"),

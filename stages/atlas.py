@@ -10,7 +10,7 @@ def work(s: Stage) -> None:
     from pipeline.surface.atlas import make_atlas
     from pipeline.surface.bake import make_normal_map
 
-    with stage_folder(s.out) as out:
+    with stage_folder(s.out, "atlas.json") as out:
         metrics = make_atlas(s.args.mesh / "mesh.ply", out, s.scene.atlas)
         metrics |= make_normal_map(s.args.mesh, out, s.scene.atlas)
         report_metrics(out / "atlas.json", metrics | s.costs())

@@ -11,7 +11,7 @@ from pipeline.run.stage import Stage, stage
 def work(s: Stage) -> None:
     from pipeline.photos.capture import capture
 
-    with stage_folder(s.out) as out:
+    with stage_folder(s.out, "capture.json") as out:
         metrics = capture(Path(s.scene.photos), out, s.scene.capture)
         report_metrics(out / "capture.json", metrics | s.costs())
 

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from pipeline.base.files import read_json, report_metrics
+from pipeline.base.manifest import NAME, write_manifest
 from pipeline.run.stage import Stage, stage
 
 
@@ -22,6 +23,10 @@ def work(s: Stage) -> None:
     }
     metrics = export(s.args.atlas, s.args.samples, s.out, facts)
     report_metrics(s.args.metrics, metrics | s.costs())
+
+    made = [s.args.metrics, s.out, s.out.with_suffix(".usdz"), *s.out.with_suffix("").rglob("*")]
+    noted = s.args.metrics.with_name(f".export{NAME}")
+    write_manifest(noted, [file for file in made if file.is_file()])
 
 
 def more(parser: argparse.ArgumentParser) -> None:

@@ -1,23 +1,25 @@
 """Fit: a point estimate of light and materials together (DPI, Eq. 15)."""
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import PROBLEM_FOLDERS, Stage, stage
+from pipeline.run.stage import CHOSEN_FOLDER, PROBLEM_FOLDERS, Stage, stage
 
 
 def work(s: Stage) -> None:
     from pipeline.base.runtime import set_threads
+    from pipeline.posterior.choose.chosen import chosen_scene
     from pipeline.posterior.fit import fit
     from pipeline.posterior.load import load_problem
 
+    scene = chosen_scene(s.scene, s.args.choose)
     set_threads(s.args.threads)
-    with stage_folder(s.out) as out:
+    with stage_folder(s.out, "fit.json") as out:
         problem = load_problem(
             *s.problem_folders,
-            s.scene,
-            s.scene.fit.texture,
-            s.scene.render.light_height,
+            scene,
+            scene.fit.texture,
+            scene.render.light_height,
         )
-        best, facts = fit(problem, s.scene.fit)
+        best, facts = fit(problem, scene.fit)
         best.save(out)
         report_metrics(out / "fit.json", facts | s.costs())
 
@@ -25,6 +27,6 @@ def work(s: Stage) -> None:
 if __name__ == "__main__":
     stage(
         __doc__,
-        PROBLEM_FOLDERS,
+        PROBLEM_FOLDERS | CHOSEN_FOLDER,
         work,
     )

@@ -7,7 +7,7 @@ from pipeline.run.stage import Stage, stage
 def work(s: Stage) -> None:
     from pipeline.masks.make import make_masks
 
-    with stage_folder(s.out) as out:
+    with stage_folder(s.out, "masks.json") as out:
         metrics = make_masks(s.args.poses, out, s.scene.masks, s.args.threads)
         report_metrics(out / "masks.json", metrics | s.costs())
 

@@ -11,7 +11,7 @@ from pipeline.run.stage import Stage, stage
 def work(s: Stage) -> None:
     from pipeline.surface.make import make_mesh
 
-    with stage_folder(s.out) as out:
+    with stage_folder(s.out, "mesh.json") as out:
         metrics = make_mesh(
             s.args.poses, s.args.masks, Path(s.scene.photos), out, s.scene.mesh, s.args.threads
         )

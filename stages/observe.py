@@ -9,9 +9,14 @@ from pipeline.run.stage import Stage, stage
 def work(s: Stage) -> None:
     from pipeline.render.observe import make_observations
 
-    with stage_folder(s.out) as out:
+    with stage_folder(s.out, "observe.json") as out:
         metrics = make_observations(
-            s.args.poses, s.args.mesh, s.args.atlas / "mesh_uv.ply", out, s.scene.observe
+            s.args.poses,
+            s.args.mesh,
+            s.args.atlas / "mesh_uv.ply",
+            out,
+            s.scene.observe,
+            s.scene.poses,
         )
         report_metrics(out / "observe.json", metrics | s.costs())
 

@@ -11,7 +11,7 @@ from pipeline.run.stage import Stage, stage
 def work(s: Stage) -> None:
     from pipeline.photos.poses import make_poses
 
-    with stage_folder(s.out) as out:
+    with stage_folder(s.out, "poses.json") as out:
         metrics = make_poses(
             s.args.capture, Path(s.scene.photos), out, s.scene.poses, s.args.threads
         )

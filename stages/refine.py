@@ -3,7 +3,7 @@ held-out score.
 """
 
 from pipeline.base.files import read_json, report_metrics, stage_folder
-from pipeline.run.stage import PROBLEM_FOLDERS, Stage, stage
+from pipeline.run.stage import CHOSEN_FOLDER, PROBLEM_FOLDERS, Stage, stage
 
 SCORE_UNITS = 5  # progress: scoring a view takes as long as so many of Adam's steps
 
@@ -11,19 +11,21 @@ SCORE_UNITS = 5  # progress: scoring a view takes as long as so many of Adam's s
 def work(s: Stage) -> None:
     from pipeline.base.progress import Bar
     from pipeline.base.runtime import set_threads
+    from pipeline.posterior.choose.chosen import chosen_scene
     from pipeline.posterior.load import load_problem
     from pipeline.posterior.refine import COARSE, refine, units
     from pipeline.render.metrics import held_out_photos, score_held_out
     from pipeline.render.renderer import Explanation
 
     set_threads(s.args.threads)
-    settings = s.scene.refine
-    with stage_folder(s.out) as out:
+    scene = chosen_scene(s.scene, s.args.choose)
+    settings = scene.refine
+    with stage_folder(s.out, "refine.json") as out:
         sample = Explanation.load(s.args.sample)
         rows = sample.light.shape[0]
-        problem = load_problem(*s.problem_folders, s.scene, settings.texture, rows)
-        small = load_problem(*s.problem_folders, s.scene, min(COARSE, settings.texture), rows)
-        held_out = held_out_photos(problem, s.args.poses, s.args.mesh, s.scene.observe.erode)
+        problem = load_problem(*s.problem_folders, scene, settings.texture, rows)
+        small = load_problem(*s.problem_folders, scene, min(COARSE, settings.texture), rows)
+        held_out = held_out_photos(problem, s.args.poses, s.args.mesh, scene.observe.erode)
         drawn = read_json(s.args.sample / "sample.json").get("scale_drawn", False)
 
         index = s.args.index
@@ -47,6 +49,7 @@ if __name__ == "__main__":
         __doc__,
         {
             **PROBLEM_FOLDERS,
+            **CHOSEN_FOLDER,
             "sample": "folder of the sample",
         },
         work,

@@ -1,41 +1,43 @@
 """Sample: one posterior draw of light and materials. Independent of every other sample."""
 
 from pipeline.base.files import report_metrics, stage_folder
-from pipeline.run.stage import PROBLEM_FOLDERS, Stage, stage
+from pipeline.run.stage import CHOSEN_FOLDER, PROBLEM_FOLDERS, Stage, stage
 
 
 def work(s: Stage) -> None:
-    from pipeline.base.errors import InputError, nearest
     from pipeline.base.runtime import set_threads
+    from pipeline.posterior.check_settings import check_settings
+    from pipeline.posterior.choose.chosen import chosen_scene
     from pipeline.posterior.load import load_problem
-    from pipeline.posterior.samplers import SAMPLERS
+    from pipeline.posterior.samplers import LOOKING_AT_THE_LIGHT, SAMPLERS
     from pipeline.prior.load import load_prior
     from pipeline.render.renderer import Explanation
 
-    settings = s.scene.sample
-    if settings.method not in SAMPLERS:
-        raise InputError(
-            f"unknown sampler '{settings.method}'",
-            "sample.method",
-            nearest(settings.method, SAMPLERS),
-        )
+    scene = chosen_scene(s.scene, s.args.choose)
+    settings = scene.sample
     prior = load_prior(settings.prior)
+    check_settings(settings, prior)
     # one thread: sums in a fixed order, so sample k is bit-identical anywhere
     set_threads(s.args.threads)
-    with stage_folder(s.out) as out:
+    with stage_folder(s.out, "sample.json") as out:
         problem = load_problem(
             *s.problem_folders,
-            s.scene,
+            scene,
             settings.texture,
             prior.height,
         )
         drawn, facts = SAMPLERS[settings.method](
             problem, prior, Explanation.load(s.args.fit), settings, s.args.index
         )
+        unused = {}
+        if problem.observations.surroundings.sightings and (
+            settings.method not in LOOKING_AT_THE_LIGHT
+        ):
+            unused = {"sightings": f"{settings.method} knows of them by its start only"}
         drawn.save(out)
         report_metrics(
             out / "sample.json",
-            {"index": s.args.index, "method": settings.method} | facts | s.costs(),
+            {"index": s.args.index, "method": settings.method} | facts | unused | s.costs(),
         )
 
 
@@ -44,6 +46,7 @@ if __name__ == "__main__":
         __doc__,
         {
             **PROBLEM_FOLDERS,
+            **CHOSEN_FOLDER,
             "fit": "folder of the fit stage",
         },
         work,

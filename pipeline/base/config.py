@@ -8,18 +8,22 @@ one.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from pipeline.base.errors import InputError, nearest
 
 PRESET_FOLDER = Path(__file__).resolve().parents[2] / "configs" / "presets"
 
 
+MOST_SEED = 2**31 - 1
+MOST_PIXELS = 1_000_000  # of one step
+
+
 class Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 SectionType = TypeVar("SectionType", bound=Section)
@@ -84,7 +88,7 @@ class Poses(Section):
     up: Literal["auto", "none"] = Field(
         "auto", description="auto: turn the estimated gravity to +Y"
     )
-    seed: int = Field(0, ge=0)
+    seed: int = Field(0, ge=0, le=MOST_SEED)
 
 
 class Masks(Section):
@@ -156,7 +160,49 @@ class Observe(Section):
     erode: float = Field(
         1.5, ge=0, le=20, description="pixels taken off the mask's edge: mixed with background"
     )
-    seed: int = Field(0, ge=0)
+    ground: bool = Field(
+        False,
+        description="the ground near the object is geometry with the radiance that photos show, "
+        "not distant light",
+    )
+    background: bool = Field(
+        False, description="photos that look past the object show the light in those directions"
+    )
+    seed: int = Field(0, ge=0, le=MOST_SEED)
+
+
+class Choose(Section):
+    """How much model the scene needs, from its data. `auto`: chosen, never above what is
+    configured; `keep`: as configured. A scene that sets one of SETTINGS_OF itself keeps it, unless
+    it asks for `auto` here.
+    """
+
+    enabled: bool = Field(False, description="decide at all; else every setting is as configured")
+    texture: Literal["auto", "keep"] = Field(
+        "auto", description="sides of the textures, by what a photo's pixel covers"
+    )
+    bounces: Literal["auto", "keep"] = Field(
+        "auto", description="render.max_depth, by how much of its own sky the object hides"
+    )
+    light: Literal["auto", "keep"] = Field(
+        "auto", description="sample.light, by how much the mesh's normal error blurs reflections"
+    )
+    fit: Literal["auto", "keep"] = Field(
+        "auto", description="fit.texture, steps and pixels, by what a photo's pixel covers"
+    )
+    maps: Literal["auto", "keep"] = Field(
+        "auto",
+        description="refine.gloss: roughness and metallic as maps only where held-out pixels ask",
+    )
+
+
+SETTINGS_OF = {
+    "texture": (("refine", "texture"), ("refine", "gloss_texture")),
+    "bounces": (("render", "max_depth"),),
+    "light": (("sample", "light"),),
+    "fit": (("fit", "texture"), ("fit", "steps"), ("fit", "pixels")),
+    "maps": (("refine", "gloss"),),
+}  # what each decision of `Choose` sets
 
 
 class Render(Section):
@@ -181,7 +227,7 @@ class Fit(Section):
     """Point estimate, Eq. 15 of DPI: Adam on light and materials together."""
 
     steps: int = Field(300, ge=1, le=100000)
-    pixels: int = Field(8192, ge=16, description="pixels per step, over all views")
+    pixels: int = Field(8192, ge=16, le=MOST_PIXELS, description="pixels per step, over all views")
     spp: int = Field(
         4,
         ge=2,
@@ -191,7 +237,7 @@ class Fit(Section):
     )
     learning_rate: float = Field(0.02, gt=0, le=1)
     texture: int = Field(256, ge=8, le=4096, description="texture side during the fit")
-    seed: int = Field(0, ge=0)
+    seed: int = Field(0, ge=0, le=MOST_SEED)
 
 
 class Sample(Section):
@@ -231,7 +277,7 @@ class Sample(Section):
     search_sweeps: int = Field(
         2,
         ge=1,
-        description="split_gibbs: sweeps of that search over all regions, from each of two starts",
+        description="split_gibbs: sweeps of that search over all regions, from three starts",
     )
     region_steps: int = Field(
         100, ge=1, description="split_gibbs: Metropolis-Hastings steps of the materials per turn"
@@ -239,12 +285,12 @@ class Sample(Section):
     steps: int = Field(
         250, ge=2, le=1000, description="dpi: noise levels, a sub-sequence of T = 1000"
     )
-    pixels: int = Field(4096, ge=16)
+    pixels: int = Field(4096, ge=16, le=MOST_PIXELS)
     spp: int = Field(4, ge=2, le=1024, multiple_of=2)
     guidance: float = Field(1.0, gt=0, le=100, description="multiplies the paper's rho schedule")
     learning_rate: float = Field(0.01, gt=0, le=1, description="materials' Adam step, Eq. 16")
     texture: int = Field(256, ge=8, le=4096)
-    seed: int = Field(0, ge=0)
+    seed: int = Field(0, ge=0, le=MOST_SEED)
 
 
 class Refine(Section):
@@ -253,7 +299,7 @@ class Refine(Section):
     steps: int = Field(
         40, ge=0, le=100000, description="Adam steps of roughness and metallic: 100 gain 0.06 dB"
     )
-    pixels: int = Field(4096, ge=16, description="pixels per step, over all views")
+    pixels: int = Field(4096, ge=16, le=MOST_PIXELS, description="pixels per step, over all views")
     spp: int = Field(4, ge=2, le=1024, multiple_of=2)
     learning_rate: float = Field(0.02, gt=0, le=1)
     shading_pixels: int = Field(
@@ -270,6 +316,14 @@ class Refine(Section):
     )
     score_spp: int = Field(64, ge=2, le=4096, multiple_of=2, description="paths per scored pixel")
     texture: int = Field(1024, ge=16, le=8192, description="side of the exported textures")
+    gloss_texture: int | None = Field(
+        None, ge=16, le=8192, description="side of roughness and metallic; none: as `texture`"
+    )
+    gloss: Literal["maps", "tested"] = Field(
+        "maps",
+        description="maps: roughness and metallic as textures; tested: a number in place of each "
+        "map by which held-out blocks of pixels gain no more than two standard errors",
+    )
 
 
 class Report(Section):
@@ -279,12 +333,19 @@ class Report(Section):
     spp: int = Field(48, ge=2, le=4096, multiple_of=2, description="paths per pixel shown")
 
 
+def _named(value: object) -> object:
+    """ValueError for an empty path, which would be the project's own folder."""
+    if value == "":
+        raise ValueError("the name of the photos' folder is empty")
+    return value
+
+
 class Scene(Section):
     """One scene. `photos` is its folder (or a folder of images); relative paths start at the
     project's top folder.
     """
 
-    photos: Path
+    photos: Annotated[Path, BeforeValidator(_named)]
     preset: Literal["draft", "standard", "reference"] = "standard"
     samples: int = Field(
         3, ge=1, le=1000, description="posterior samples N; raising it only adds jobs"
@@ -295,11 +356,16 @@ class Scene(Section):
     mesh: Mesh = Mesh()
     atlas: Atlas = Atlas()
     observe: Observe = Observe()
+    choose: Choose = Choose()
     render: Render = Render()
     fit: Fit = Fit()
     sample: Sample = Sample()
     refine: Refine = Refine()
     report: Report = Report()
+
+
+# ValueError: bytes that are no text, a day that no calendar has; RecursionError: endless nesting
+NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
 
 
 def read_yaml(path: Path) -> dict:
@@ -310,7 +376,11 @@ def read_yaml(path: Path) -> dict:
         raise InputError(
             "there is no such configuration", path, "write it: one line `photos: FOLDER` is enough"
         ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise InputError(
+            f"cannot be read ({error.strerror})", path, "write a file there"
+        ) from error
+    except NOT_YAML as error:
         raise InputError(
             f"not valid YAML ({error})", path, "repair the line named above"
         ) from error
@@ -354,21 +424,28 @@ def load_scene(path: str | Path, overrides: dict | None = None) -> Scene:
 def parse_scene(own: dict, path: str | Path) -> Scene:
     """Merge a scene's mapping with its preset and validate."""
     preset = own.get("preset", "standard")
-    file = PRESET_FOLDER / f"{preset}.yaml"
-    if not isinstance(preset, str) or not file.exists():
-        raise InputError(
-            f"unknown preset {preset!r}",
-            path,
-            nearest(str(preset), [p.stem for p in PRESET_FOLDER.glob("*.yaml")]),
-        )
+    known = {file.stem: file for file in PRESET_FOLDER.glob("*.yaml")}
+    if not isinstance(preset, str) or preset not in known:
+        raise InputError(f"unknown preset {preset!r}", path, nearest(str(preset), known))
 
-    return validated(Scene, merge(read_yaml(file), own), path)
+    kept = merge(read_yaml(known[preset]), {"choose": settled(own)})
+    return validated(Scene, merge(kept, own), path)
+
+
+def settled(own: dict) -> dict[str, str]:
+    """The decisions of `Choose` that a scene's mapping has taken itself, each as `keep`."""
+    names = lambda section: own[section] if isinstance(own.get(section), dict) else {}
+    return {
+        decision: "keep"
+        for decision, settings in SETTINGS_OF.items()
+        if any(key in names(section) for section, key in settings)
+    }
 
 
 def validated(model: type[SectionType], values: dict, path: str | Path) -> SectionType:
     """An instance of `model`. Raises InputError naming file, key and cure."""
     try:
-        return model(**values)
+        return model.model_validate(values)
     except ValidationError as error:
         raise _explain(error, path, model) from error
 
@@ -378,3 +455,11 @@ def slice_of(scene: Scene, *sections: str) -> dict:
     its change only.
     """
     return scene.model_dump(mode="json", include=set(sections))
+
+
+def configured(scene: Scene, decision: str) -> dict:
+    """{section: {setting: value}} of what a decision may set, as configured."""
+    values: dict = {}
+    for section, key in SETTINGS_OF[decision]:
+        values.setdefault(section, {})[key] = getattr(getattr(scene, section), key)
+    return values

@@ -14,10 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.base import manifest
 from pipeline.base.errors import InputError
+from pipeline.base.locks import alone
 
 
-def _writable_parent(path: Path) -> None:
+def writable_parent(path: Path) -> None:
+    """InputError where the folder of `path` cannot be made or written to."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -43,32 +46,73 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     not collected.
     """
     path = Path(path)
-    _writable_parent(path)
+    writable_parent(path)
 
     temporary = path.with_name(f".partial-{path.name}")
     try:
         yield temporary
+        manifest.sync(temporary)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-@contextlib.contextmanager
-def stage_folder(path: str | Path) -> Iterator[Path]:
-    """As `atomic_path`, for a folder: the old content stays in place until the new is complete."""
-    path = Path(path)
-    _writable_parent(path)
+def _replaceable(path: Path, mark: str) -> None:
+    """InputError unless `path` may be replaced as a whole: it is not there, or an empty folder, or
+    an earlier result, which holds the file `mark`; and nobody works in it or below it.
+    """
+    whole = Path(os.path.realpath(path))
+    here = Path(os.path.realpath(os.curdir))
+    if here.is_relative_to(whole):
+        raise InputError(
+            "this folder holds the one that you are in, and a stage replaces its folder whole",
+            path,
+            "choose a folder of its own for --out",
+        )
+    if path.is_symlink() or (path.exists() and not path.is_dir()):
+        raise InputError("this is no folder", path, "choose another name for --out")
+    if path.exists() and any(path.iterdir()) and not (path / mark).exists():
+        raise InputError(
+            f"the folder is not empty and holds no {mark}: it is no earlier result of this stage",
+            path,
+            "choose another folder for --out, or empty this one yourself",
+        )
 
-    temporary = path.with_name(f".partial-{path.name}")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir()
-    try:
-        yield temporary
+
+@contextlib.contextmanager
+def stage_folder(path: str | Path, mark: str) -> Iterator[Path]:
+    """As `atomic_path`, for a folder: the old content stays in place until the new is complete.
+
+    mark: the file that every complete result of this kind holds. Raises InputError, before and
+    after the work, for a folder with anything else in it: it would be deleted.
+    """
+    path = Path(path)
+    _replaceable(path, mark)
+    writable_parent(path)
+
+    with alone(path), room_beside(path) as room:
+        new = room / "new"
+        new.mkdir()
+        yield new
+        manifest.write_manifest(new / manifest.NAME, [p for p in new.rglob("*") if p.is_file()])
+        manifest.sync_all(new)
+        _replaceable(path, mark)
         if path.exists():
-            shutil.rmtree(path)
-        os.replace(temporary, path)
+            os.replace(path, room / "old")  # one step: a kill leaves no half of it
+        os.replace(new, path)
+        manifest.sync(path.parent)
+
+
+@contextlib.contextmanager
+def room_beside(path: Path) -> Iterator[Path]:
+    """An empty folder beside `path`, removed in the end."""
+    room = path.with_name(f".partial-{path.name}")
+    shutil.rmtree(room, ignore_errors=True)  # a killed run's leftover
+    room.mkdir()
+    try:
+        yield room
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(room, ignore_errors=True)
 
 
 def _plain(value: object) -> object:

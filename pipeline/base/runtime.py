@@ -55,8 +55,15 @@ def _load_mitsuba() -> ModuleType:
             "run 'pip install --no-deps -r requirements.lock' in this environment, or point "
             "DRJIT_LIBLLVM_PATH at a libLLVM.so of version 19 or newer",
         )
-    module = importlib.import_module("mitsuba")
-    module.set_variant(VARIANT)
+    try:
+        module = importlib.import_module("mitsuba")
+        module.set_variant(VARIANT)
+    except ImportError as error:
+        raise InputError(
+            f"Mitsuba, or its LLVM library, cannot be used ({error})",
+            path,
+            "point DRJIT_LIBLLVM_PATH at a libLLVM.so of version 19 or newer, or leave it unset",
+        ) from error
     module.set_log_level(module.LogLevel.Error)
     return module
 
@@ -69,10 +76,22 @@ def __getattr__(name: str) -> ModuleType:
     raise AttributeError(name)
 
 
+_rays = 0
+
+
+def rays_made() -> int:
+    """How many rays this process has given to Mitsuba so far: for a figure of cost. A path counts
+    once, by its camera ray.
+    """
+    return _rays
+
+
 def mitsuba_rays(origins: np.ndarray, directions: np.ndarray) -> Any:
     """Mitsuba rays of origins and directions (n, 3)."""
     import numpy as np
 
+    global _rays
+    _rays += len(origins)
     mi = importlib.import_module(__name__).mitsuba
     columns = lambda rows: np.ascontiguousarray(rows.T, np.float32)
     return mi.Ray3f(mi.Point3f(columns(origins)), mi.Vector3f(columns(directions)))

@@ -88,7 +88,7 @@ def load_mesh(path: str | Path) -> Mesh:
         loaded = mi.load_dict(
             {"type": path.suffix[1:].lower(), "filename": str(path), "flip_tex_coords": False}
         )
-    except RuntimeError as error:
+    except (RuntimeError, UnicodeDecodeError) as error:  # the latter of the reader's own message
         raise InputError(
             f"not a readable mesh ({error})", path, "export it as binary PLY or OBJ with triangles"
         ) from error

@@ -24,6 +24,8 @@ from pipeline.masks.automatic import plane_masks
 from pipeline.masks.network import network_masks
 
 USUAL_AGREEMENT = 0.85  # mean agreement below which automatic masks are doubtful
+# masks whose rim is white to this part, and which are not white all over, are the wrong way round
+EXCHANGED, ALL_WHITE = 0.9, 0.98
 AXES_MISS = 0.25  # radii by which the cameras' axes may miss the object without a word
 LOOK = (
     "look at masks/overlay.jpg; one corrected mask in the scene's folder masks/ mends the others "
@@ -76,6 +78,11 @@ def overlay(
     return in_rows(tiles, columns)
 
 
+def _rim(mask: np.ndarray) -> np.ndarray:
+    """The outermost pixels of a mask (h, w)."""
+    return np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+
+
 def check(masks: dict, method: str) -> None:
     """Raises InputError when the masks cannot be of use."""
     area = {name: float(m.mean()) for name, m in masks.items()}
@@ -83,6 +90,14 @@ def check(masks: dict, method: str) -> None:
     if method == "given" and black:
         raise InputError(
             f"the mask of '{black[0]}' is all black", "masks", "paint the object white there"
+        )
+
+    rim = float(np.median([_rim(m).mean() for m in masks.values()]))
+    if method == "given" and rim > EXCHANGED and np.median(list(area.values())) < ALL_WHITE:
+        raise InputError(
+            f"white surrounds black: {100 * rim:.0f} % of the photos' rims are white",
+            "masks",
+            "are black and white exchanged? White is the object",
         )
 
     middle = float(np.median(list(area.values())))

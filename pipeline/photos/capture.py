@@ -14,20 +14,24 @@ import numpy as np
 from pipeline.base.config import Capture
 from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
-from pipeline.base.images import write_exr, write_png
+from pipeline.base.images import luminance, write_exr, write_png
 from pipeline.base.progress import progress
+from pipeline.photos.colmap_model import model_folder
 from pipeline.photos.colour_space import LINEAR, Curve
-from pipeline.photos.decode import Photo, decode, read_mask
-from pipeline.photos.scene_files import camera_file, find_photos, left_out, mask_file
+from pipeline.photos.decode import Photo, decode
+from pipeline.photos.given_masks import check_owners, mask_file, read_mask
+from pipeline.photos.scene_files import camera_file, find_photos, left_out
 from pipeline.photos.selection import Look, choose, look_at
 
+BLACK = 1e-3  # luminance below which a pixel is black
+LIE = 0.5  # stops by which EXIF may make photos differ more
 NEVER = 1e6  # clip level of linear pictures, which have none
 ANY = 0.004  # share of a scaled pixel's area: less than one of 15 x 15 pixels is rounding
 
 
 @dataclass
 class Converted:
-    """A photo at working size: linear (h, w, 3) Rec.709; saturated (h, w) bool; mask (h, w) bool or
+    """A photo at working size: linear and saturated (h, w, 3), Rec.709; mask (h, w) bool or
     None; facts for photos.json.
     """
 
@@ -71,21 +75,25 @@ def scaled(photo: Photo, size: tuple[int, int]) -> np.ndarray:
 
 
 def saturated_pixels(photo: Photo, size: tuple[int, int], clip_fraction: float) -> np.ndarray:
-    """Which pixels (h, w) at `size` (width, height) hold a saturated pixel of the full resolution.
+    """Which channels of which pixels (h, w, 3) at `size` (width, height) hold a saturated value of
+    the full resolution: one that reaches `clip_fraction` of the file's full scale.
 
-    A pixel is saturated where a channel reaches `clip_fraction` of the file's full scale. Its true
-    value is unknown upwards, and so is every mean that it enters: one is enough.
+    Its true value is unknown upwards, and so is every mean that it enters: one is enough. Yellow
+    may be saturated in red and green and say all about blue; not so in other primaries than
+    Rec.709's, where each channel is a mixture of the file's three.
     """
     if photo.space is LINEAR and not np.issubdtype(photo.pixels.dtype, np.integer):
-        return np.zeros(size[::-1], bool)
+        return np.zeros((*size[::-1], 3), bool)
 
     level = clip_fraction * photo.full_scale
-    full = photo.pixels[..., 0] >= level
-    full |= photo.pixels[..., 1] >= level
-    full |= photo.pixels[..., 2] >= level
-    if photo.pixels.shape[2] == 4:  # what is cut away shows nothing
-        full &= photo.pixels[..., 3] > 0
-    return _resize(full.astype(np.float32), size) > ANY
+    channels = []
+    for k in range(3):
+        full = photo.pixels[..., k] >= level
+        if photo.pixels.shape[2] == 4:  # what is cut away shows nothing
+            full &= photo.pixels[..., 3] > 0
+        channels.append(_resize(full.astype(np.float32), size) > ANY)
+    found = np.stack(channels, -1)
+    return found if photo.space.is_rec709 else np.repeat(found.any(-1, keepdims=True), 3, -1)
 
 
 def read_photo(path: Path, settings: Capture) -> Photo:
@@ -103,6 +111,7 @@ def convert(scene: Path, path: Path, settings: Capture) -> Converted:
     factor = min(1.0, settings.max_size / max(height, width))
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
 
+    linear = scaled(photo, size)
     saturated = saturated_pixels(photo, size, settings.clip_fraction)
     mask = _mask(scene, path, photo)
     curve = photo.space.curves[1]
@@ -111,11 +120,17 @@ def convert(scene: Path, path: Path, settings: Capture) -> Converted:
         "original_size": [width, height],
         "width": size[0],
         "height": size[1],
-        "clipped_share": float(saturated.mean()),
+        "clipped_share": float(saturated.any(-1).mean()),
         "clip_level": level,
+        "brightness": brightness_of(linear),
     }
     small = None if mask is None else _resize(mask, size) >= 128
-    return Converted(scaled(photo, size), saturated, small, facts)
+    return Converted(linear, saturated, small, facts)
+
+
+def brightness_of(linear: np.ndarray) -> float:
+    """Mean of log2 of a photo's luminance, in stops; what is black counts as BLACK."""
+    return float(np.log2(np.maximum(luminance(linear), BLACK)).mean())
 
 
 def _mask(scene: Path, path: Path, photo: Photo) -> np.ndarray | None:
@@ -142,6 +157,8 @@ def exposure_of(facts: dict) -> float | None:
 def normalise_exposure(photos: list[dict], mode: str) -> str:
     """Fill in each photo's `gain` (divide by it) and say what was done. The logarithms of all gains
     sum to zero: the set as a whole becomes neither brighter nor darker.
+
+    EXIF may lie: one that makes photos of one scene differ more than they do is not believed.
     """
     exposures = [exposure_of(p) for p in photos]
     for p in photos:
@@ -156,6 +173,14 @@ def normalise_exposure(photos: list[dict], mode: str) -> str:
         return f"left alone: only {len(known)} of {len(photos)} photos have EXIF exposure"
 
     middle = np.exp(np.mean(np.log(known)))
+    brightness = np.array([p["brightness"] for p in photos])
+    before = float(np.std(brightness))
+    after = float(np.std(brightness - np.log2(known)))
+    if after > before + LIE:
+        return (
+            f"left alone: EXIF exposure contradicts the pictures, whose brightness would differ by "
+            f"{after:.1f} stops instead of {before:.1f}"
+        )
     for p, exposure in zip(photos, known):
         p["gain"] = float(exposure / middle)
     spread = max(known) / min(known)
@@ -250,10 +275,11 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
     few photos.
     """
     found = find_photos(scene)
+    check_owners(scene, [path for _, path, _ in found])
     dropped = left_out(scene, found)
     photos, looks = converted(found, scene, out, settings)
     # Given cameras name their photos: those that are named stay.
-    given = camera_file(scene) is not None or (scene / "sparse" / "0").is_dir()
+    given = camera_file(scene) is not None or model_folder(scene) is not None
     if settings.leave_out == "auto" and not given:
         photos, more = drop(photos, looks, out)
         dropped |= more

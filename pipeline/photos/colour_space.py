@@ -49,11 +49,16 @@ class ColourSpace:
     curves: tuple[Curve, Curve, Curve]
     matrix: np.ndarray
 
+    @property
+    def is_rec709(self) -> bool:
+        """Whether red, green and blue are Rec.709's own."""
+        return np.array_equal(self.matrix, np.eye(3))
+
     def to_rec709(self, linear: np.ndarray) -> np.ndarray:
         """Linear light (..., 3) of these primaries -> linear Rec.709; colours outside of its gamut
         keep their red, green and blue above 1 and lose what is below 0.
         """
-        if np.array_equal(self.matrix, np.eye(3)):
+        if self.is_rec709:
             return linear
         return np.maximum(linear @ self.matrix.T.astype(np.float32), 0)
 

@@ -10,19 +10,25 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
-from PIL import Image, ImageCms, ImageOps
+from PIL import Image, ImageCms
 
 from pipeline.base.errors import InputError
-from pipeline.base.images import read_exr
 from pipeline.photos import colour_space
 from pipeline.photos.colour_space import LINEAR, SRGB, ColourSpace, UnknownProfile
+from pipeline.photos.decode_exr import decode_exr
 
 HEIF = (".heic", ".heif", ".hif")
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr", *HEIF)
+HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
+LEAST_SIDE, MOST_SIDE = 8, 16384  # pixels
+# `check_size` refuses by itself, and by sides
+Image.MAX_IMAGE_PIXELS = None
+CURE = "copy it again from the camera, or remove it"
+TIFF_CURE = "save it as a TIFF of 8 or 16 bits, a linear picture as EXR"
 ORIENTATION = 0x0112
 EXIF_IFD = 0x8769
 INTEROPERABILITY_IFD = 0xA005
@@ -65,12 +71,15 @@ def decode(path: Path, profiles: bool = True) -> Photo:
     Raises InputError naming the file if it is damaged, holds NaN, or is encoded in a way that does
     not lead back to light.
     """
-    if path.suffix.lower() == ".exr":
-        return _decode_exr(path)
     try:
         data = path.read_bytes()
-        heif = path.suffix.lower() in HEIF
-        return _decode_heif(data, profiles) if heif else _decode_common(path, data, profiles)
+        kind = kind_of(data)
+        if kind == "exr":
+            pixels, notes = decode_exr(path)
+            return Photo(pixels, LINEAR, {"note": ", ".join(notes)} if notes else {})
+        if kind == "heif":
+            return _decode_heif(data, profiles)
+        return _decode_common(path, data, profiles)
     except UnknownProfile as error:
         raise InputError(
             f"its colours cannot be converted: {error}",
@@ -88,21 +97,27 @@ def decode(path: Path, profiles: bool = True) -> Photo:
         raise InputError(
             f"the photo cannot be read ({error})",
             path,
-            "copy it again from the camera, or remove it",
+            TIFF_CURE if path.suffix.lower().startswith(".tif") else CURE,
         ) from error
 
 
-def _decode_exr(path: Path) -> Photo:
-    pixels = read_exr(path)
-    if not np.isfinite(pixels).all():
-        raise InputError(
-            "the picture holds NaN or infinity",
-            path,
-            "export it again without them, or leave it out",
-        )
-    if pixels.ndim == 2:
-        pixels = np.repeat(pixels[..., None], 3, -1)
-    return Photo(pixels, LINEAR, {})
+def kind_of(data: bytes) -> str:
+    """ "exr", "heif" or "common", by a file's first bytes: names are often wrong. ValueError for an
+    empty file.
+    """
+    if not data:
+        raise ValueError("the file is empty")
+    if data.startswith(b"\x76\x2f\x31\x01"):
+        return "exr"
+    return "heif" if data[4:8] == b"ftyp" and data[8:12] in HEIF_BRANDS else "common"
+
+
+def check_size(width: int, height: int) -> None:
+    """ValueError for pictures too small to tell anything and too large to be held."""
+    if min(width, height) < LEAST_SIDE:
+        raise ValueError(f"{width}x{height} pixels, at least {LEAST_SIDE} along a side are needed")
+    if max(width, height) > MOST_SIDE:
+        raise ValueError(f"{width}x{height} pixels, at most {MOST_SIDE} along a side are read")
 
 
 def _decode_common(path: Path, data: bytes, profiles: bool) -> Photo:
@@ -110,6 +125,7 @@ def _decode_common(path: Path, data: bytes, profiles: bool) -> Photo:
     Pillow drops the tag where it has turned, so it is read after `load`.
     """
     with Image.open(io.BytesIO(data)) as image:
+        check_size(*image.size)
         image.load()  # Pillow refuses truncated files, OpenCV would not
         tags = image.getexif()
         facts = _exif_facts(tags)
@@ -129,7 +145,7 @@ def _decode_common(path: Path, data: bytes, profiles: bool) -> Photo:
                 raise unknown
             pixels = deep[..., [2, 1, 0, 3][: deep.shape[2]]] if deep.ndim == 3 else deep
             notes = ["16 bit"]
-        elif unknown or image.mode == "CMYK":
+        elif unknown or image.mode in ("CMYK", "LAB"):
             pixels, note = _by_colour_engine(image, unknown)
             space = SRGB
             notes = [note]
@@ -148,18 +164,21 @@ def _decode_heif(data: bytes, profiles: bool) -> Photo:
     """
     import pi_heif
 
-    image = pi_heif.open_heif(data, convert_hdr_to_8bit=False)
+    try:
+        image = pi_heif.open_heif(data, convert_hdr_to_8bit=False)
+        pixels = np.array(image)  # a copy: libheif's memory goes with `image`
+    except RuntimeError as error:  # where a damaged file asks for more than libheif allows
+        raise ValueError(str(error)) from error
+
     tags = Image.Exif()
     if image.info.get("exif"):
         tags.load(image.info["exif"])
-
-    pixels = np.array(image)  # a copy: libheif's memory goes with `image`
     notes = [] if pixels.dtype == np.uint8 else [f"{image.info['bit_depth']} bit"]
     space = SRGB
     if profiles:
         points = image.info.get("nclx_profile")
         if image.info.get("icc_profile"):
-            space = colour_space.of_icc(image.info["icc_profile"])
+            space = _of_icc(image.info["icc_profile"])
         elif points:
             space = colour_space.of_code_points(
                 points["color_primaries"], points["transfer_characteristics"]
@@ -187,13 +206,20 @@ def _upright(
 def _space(profile: bytes | None, tags: Image.Exif) -> ColourSpace:
     """Colour space by the embedded profile, else by EXIF, else sRGB."""
     if profile:
-        return colour_space.of_icc(profile)
+        return _of_icc(profile)
 
     marked = tags.get_ifd(EXIF_IFD).get(COLOUR_SPACE)
     index = str(tags.get_ifd(INTEROPERABILITY_IFD).get(1, "")).strip("\0 ")
     if marked == 2 or index == "R03":
         return colour_space.adobe_rgb()
     return SRGB
+
+
+def _of_icc(profile: bytes) -> ColourSpace:
+    try:
+        return colour_space.of_icc(profile)
+    except (OSError, ImageCms.PyCMSError) as error:
+        raise UnknownProfile(f"a damaged profile ({error})") from error
 
 
 def _rgb(image: Image.Image) -> np.ndarray:
@@ -208,14 +234,22 @@ def _rgb(image: Image.Image) -> np.ndarray:
 
 def _by_colour_engine(image: Image.Image, unknown: UnknownProfile | None) -> tuple[np.ndarray, str]:
     """A picture whose profile holds tables, as sRGB of 8 bits by Little CMS; and a note."""
+    target = ImageCms.createProfile("sRGB")
+    if image.mode == "LAB":
+        source = ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB"))
+        converted = ImageCms.profileToProfile(image, source, target, outputMode="RGB")
+        return np.asarray(cast(Image.Image, converted)), "CIELAB"
+
     profile = image.info.get("icc_profile")
     if not profile:
         return np.asarray(image.convert("RGB")), "CMYK without a profile, by the plain formula"
     if image.mode not in ("CMYK", "RGB", "L"):
         raise unknown or UnknownProfile(f"a profile with a picture of mode {image.mode}")
 
-    source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-    target = ImageCms.createProfile("sRGB")
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+    except (OSError, ImageCms.PyCMSError) as error:
+        raise unknown or UnknownProfile(f"a damaged profile ({error})") from error
     converted = ImageCms.profileToProfile(image, source, target, outputMode="RGB")
     return np.asarray(cast(Image.Image, converted)), f"{image.mode} by its ICC profile's tables"
 
@@ -223,43 +257,23 @@ def _by_colour_engine(image: Image.Image, unknown: UnknownProfile | None) -> tup
 def _exif_facts(tags: Image.Exif) -> dict:
     """Exposure and focal length from EXIF; missing or zero values are left out."""
     ifd = tags.get_ifd(EXIF_IFD)
-    number = lambda key: (
-        float(ifd[key]) if key in ifd and ifd[key] and float(ifd[key]) > 0 else None
-    )
-    iso = ifd.get(0x8827)
-    iso = float(iso[0] if isinstance(iso, tuple) else iso) if iso else None
     facts = {
         "make": str(tags.get(0x010F, "")).strip("\0 "),
         "model": str(tags.get(0x0110, "")).strip("\0 "),
-        "focal_35mm": number(0xA405),
-        "focal_mm": number(0x920A),
-        "time": number(0x829A),
-        "f_number": number(0x829D),
-        "iso": iso,
+        "focal_35mm": _number(ifd.get(0xA405)),
+        "focal_mm": _number(ifd.get(0x920A)),
+        "time": _number(ifd.get(0x829A)),
+        "f_number": _number(ifd.get(0x829D)),
+        "iso": _number(ifd.get(0x8827)),
     }
     return {k: v for k, v in facts.items() if v}
 
 
-def read_mask(file: Path, size: tuple[int, int]) -> np.ndarray:
-    """A mask that the user gave, uint8 (h, w), upright. `size`: its photo's width and height.
-
-    Raises InputError if it cannot be read, has another size or is all black.
-    """
+def _number(value: Any) -> float | None:
+    """A positive number of EXIF, the first of several; None for what is none."""
+    first = value[0] if isinstance(value, tuple) and value else value
     try:
-        with Image.open(file) as image:
-            mask = np.asarray(ImageOps.exif_transpose(image).convert("L"))
-    except (OSError, SyntaxError, ValueError) as error:
-        raise InputError(
-            f"the mask cannot be read ({error})", file, "save it again as PNG"
-        ) from error
-    if mask.shape != size[::-1]:
-        raise InputError(
-            f"the mask is {mask.shape[1]}x{mask.shape[0]}, its photo {size[0]}x{size[1]}",
-            file,
-            "save the mask at the photo's size",
-        )
-    if mask.max() < 128:
-        raise InputError(
-            "the mask is all black", file, "paint the object white, or delete the mask"
-        )
-    return mask
+        number = float(first)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if np.isfinite(number) and number > 0 else None

@@ -7,17 +7,17 @@ here.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pipeline.base.errors import InputError
 from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP
 from pipeline.photos.scene_files import path_in_scene, photo_name
+from pipeline.photos.transforms_file import Frame, Transforms, read_transforms_file
 
 if TYPE_CHECKING:
     import pycolmap
@@ -78,37 +78,65 @@ def check_shape(w: float, h: float, size: tuple[int, int], where: str | Path, na
         )
 
 
-def _transforms_lens(data: dict, frame: dict, size: tuple[int, int], file: Path) -> Lens:
-    value: Callable[..., Any] = lambda key, default=None: frame.get(key, data.get(key, default))
+MOST_DISTORTED = 10.0  # k1 ... p2 of no lens are beyond it
+FARTHEST_CENTRE = 1.0  # of the picture's size: how far outside a principal point may lie
+FLAT = ("", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
+
+
+def _transforms_lens(data: Transforms, frame: Frame, size: tuple[int, int], file: Path) -> Lens:
+    def value(key: str, default: Any = None) -> Any:
+        own, common = getattr(frame, key), getattr(data, key)
+        return own if own is not None else common if common is not None else default
+
     extra = [k for k in ("k3", "k4", "k5", "k6") if value(k)]
-    if extra or "FISHEYE" in str(value("camera_model", "")).upper():
+    model = frame.camera_model or data.camera_model
+    fisheye = frame.is_fisheye or data.is_fisheye
+    if extra or fisheye or model.upper() not in FLAT:
         raise InputError(
-            f"lens model {value('camera_model', '')} with {extra or 'fisheye'} distortion "
-            "is not supported",
+            f"lens model {model} with {extra or 'fisheye or other'} distortion is not supported",
             file,
             "undistort the photos first, or export with k1, k2, p1, p2 only",
         )
 
     w = value("w", size[0])
     h = value("h", size[1])
-    check_shape(w, h, size, file, frame["file_path"])
+    check_shape(w, h, size, file, frame.file_path)
 
     if value("fl_x"):
-        fx = float(value("fl_x"))
+        fx = value("fl_x")
     elif value("camera_angle_x"):
-        fx = 0.5 * w / np.tan(0.5 * float(value("camera_angle_x")))
+        fx = 0.5 * w / np.tan(0.5 * value("camera_angle_x"))
     else:
         raise InputError("neither fl_x nor camera_angle_x is given", file, "add the focal length")
 
-    return Lens(
-        int(w),
-        int(h),
-        fx,
-        float(value("fl_y", fx)),
-        float(value("cx", w / 2)),
-        float(value("cy", h / 2)),
-        tuple(float(value(k, 0.0)) for k in ("k1", "k2", "p1", "p2")),
+    distortion = tuple(value(k, 0.0) for k in ("k1", "k2", "p1", "p2"))
+    lens = Lens(
+        int(w), int(h), fx, value("fl_y", fx), value("cx", w / 2), value("cy", h / 2), distortion
     )
+    check_lens(lens, file)
+    return lens
+
+
+def check_lens(lens: Lens, where: str | Path) -> None:
+    """InputError for numbers that no lens has."""
+    for name, length in (("fx", lens.fx), ("fy", lens.fy)):
+        if not (np.isfinite(length) and length > 0):
+            raise InputError(
+                f"the focal length {name} is {length:g}", where, "export the cameras again"
+            )
+    for name, at, size in (("cx", lens.cx, lens.width), ("cy", lens.cy, lens.height)):
+        if not -FARTHEST_CENTRE * size < at < (1 + FARTHEST_CENTRE) * size:
+            raise InputError(
+                f"the principal point {name} is {at:g}, of {size} pixels",
+                where,
+                "give it in pixels of the photo, or leave it out for the middle",
+            )
+    if not max(abs(k) for k in lens.distortion) <= MOST_DISTORTED:
+        raise InputError(
+            f"the distortion k1, k2, p1, p2 is {', '.join(f'{k:g}' for k in lens.distortion)}",
+            where,
+            "export the cameras again, or undistort the photos",
+        )
 
 
 def read_transforms(
@@ -117,19 +145,21 @@ def read_transforms(
     """name -> (Lens, world-to-camera in the Y-up frame). `sizes`: each photo's original (width,
     height).
     """
-    data = json.loads(file.read_text(encoding="utf-8"))
+    data = read_transforms_file(file)
     out = {}
-    for frame in data["frames"]:
-        name = photo_name(scene, path_in_scene(scene, frame["file_path"], file))
-        matrix = np.array(frame.get("transform_matrix"), float)
-        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-            raise InputError(
-                f"frame '{frame['file_path']}' has no 4x4 transform_matrix",
-                file,
-                "export the cameras again",
-            )
+    for frame in data.frames:
+        name = photo_name(scene, path_in_scene(scene, frame.file_path, file))
         lens = _transforms_lens(data, frame, sizes[name], file)
-        out[name] = (lens, np.linalg.inv(Y_FROM_Z_UP @ matrix @ OPENCV_FROM_OPENGL))
+        pose = Y_FROM_Z_UP @ frame.camera_to_world(file) @ OPENCV_FROM_OPENGL
+        out[name] = (lens, np.linalg.inv(pose))
+
+    if (
+        len(out) > 1
+        and np.ptp([np.linalg.inv(pose)[:3, 3] for _, pose in out.values()], 0).max() == 0
+    ):
+        raise InputError(
+            "all cameras stand in one place", file, "export the cameras again, with their positions"
+        )
     return out
 
 
@@ -166,19 +196,31 @@ def lens_of_colmap(camera: pycolmap.Camera) -> Lens:
     fx, fy, cx, cy = (params[k] for k in pinhole)
     distortion = tuple(params[k] for k in rest)
     distortion += (0.0,) * (4 - len(distortion))
-    return Lens(camera.width, camera.height, fx, fy, cx, cy, distortion)
+    lens = Lens(camera.width, camera.height, fx, fy, cx, cy, distortion)
+    check_lens(lens, "sparse/0")
+    return lens
 
 
 def poses_of_model(
     model: pycolmap.Reconstruction, names: dict[str, str]
 ) -> dict[str, tuple[Lens, np.ndarray]]:
     """Registered images of a pycolmap Reconstruction: photo name -> (Lens, world-to-camera).
-    `names`: the model's image name -> photo name; other images are left out.
+    `names`: the model's image name -> photo name; other images are left out. InputError for a pose
+    that is none.
     """
     out = {}
     for image in model.images.values():
         if image.has_pose and image.name in names:
+            world_to_camera = image.cam_from_world()
+            turn, shift = world_to_camera.rotation.quat, world_to_camera.translation
+            if not (np.isfinite([*turn, *shift]).all() and 0.01 < np.linalg.norm(turn) < 100):
+                raise InputError(
+                    f"the pose of image {image.name} is none",
+                    "sparse/0",
+                    "export the model again, or remove that image from it",
+                )
             pose = np.eye(4)
-            pose[:3] = image.cam_from_world().matrix()
+            pose[:3, :3] = Rotation.from_quat(turn).as_matrix()
+            pose[:3, 3] = shift
             out[names[image.name]] = (lens_of_colmap(model.cameras[image.camera_id]), pose)
     return out

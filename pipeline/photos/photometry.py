@@ -52,7 +52,7 @@ def point_brightness(views: list[View], folder: Path, points: dict) -> np.ndarra
         photo = read_exr(folder / view.image)
         rgb = photo[row[inside], column[inside]]
         clipped = saturated(folder, view, photo)[row[inside], column[inside]]
-        usable = (rgb > DARK) & ~clipped[:, None]
+        usable = (rgb > DARK) & ~clipped
         out[k, mine[inside]] = np.log2(rgb, out=np.full_like(rgb, np.nan), where=usable)
     return out
 
@@ -61,11 +61,11 @@ def gains(brightness: np.ndarray) -> np.ndarray:
     """log2 gain (views, 3) of every photo and channel, from log2 radiance (views, points, 3). Sums
     to zero over the photos. 0 for photos with too few points, or not linked to most others.
     """
-    return np.stack([_channel_gains(brightness[..., c]) for c in range(3)], -1)
+    return np.stack([channel_gains(brightness[..., c]) for c in range(3)], -1)
 
 
-def _channel_gains(y: np.ndarray) -> np.ndarray:
-    """The same for one channel: (views, points) -> (views,)."""
+def channel_gains(y: np.ndarray) -> np.ndarray:
+    """As `gains`, for one channel: (views, points) -> (views,)."""
     out = np.zeros(len(y))
     enough = _linked(y)
     if enough.sum() < 3:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
-from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from pipeline.base.config import Poses
@@ -22,6 +21,7 @@ from pipeline.base.files import read_json
 from pipeline.base.images import read_exr, read_png, write_exr, write_png
 from pipeline.base.progress import progress
 from pipeline.geometry.cameras import Y_FROM_Z_UP, Rig, View, save_cameras
+from pipeline.photos.colmap_model import model_folder, names_of, read_model
 from pipeline.photos.given_cameras import (
     Lens,
     check_shape,
@@ -297,7 +297,8 @@ def write_views(
         write_png(out / "saturated" / f"{name}.png", (saturated > 0) * np.uint8(255))
 
         if p["has_mask"]:
-            mask, _ = undistort(_read_mask(capture, name), lens, cv2.INTER_NEAREST)
+            drawn = read_png(capture / "masks" / f"{name}.png")
+            mask, _ = undistort(drawn, lens, cv2.INTER_NEAREST)
             (out / "masks").mkdir(exist_ok=True)
             write_png(out / "masks" / f"{name}.png", mask)
 
@@ -320,11 +321,6 @@ def write_views(
     return views
 
 
-def _read_mask(capture: Path, name: str) -> np.ndarray:
-    """A photo's mask (h, w) uint8 as the capture stage wrote it."""
-    return np.asarray(Image.open(capture / "masks" / f"{name}.png"))
-
-
 def _given_model(
     folder: Path, photos: list[dict]
 ) -> tuple[pycolmap.Reconstruction, dict[str, str], dict[str, tuple[Lens, np.ndarray]]]:
@@ -333,28 +329,9 @@ def _given_model(
 
     Raises InputError for an unreadable model, or one that was not made from these photos.
     """
-    import pycolmap
-
-    try:
-        model = pycolmap.Reconstruction(folder)
-    except (ValueError, RuntimeError, OSError) as error:
-        raise InputError(
-            f"not a COLMAP model ({error})", folder, "put cameras, images, points3D there"
-        ) from error
-
-    names = {Path(p["file"]).name: p["name"] for p in photos}
-    names |= {p["file"].removeprefix("images/"): p["name"] for p in photos}
+    model = read_model(folder)
+    names = names_of(photos, model, folder)
     found = poses_of_model(model, names)
-
-    missing = sorted(i.name for i in model.images.values() if i.has_pose and i.name not in names)
-    if missing:
-        raise InputError(
-            f"{len(missing)} of {len(model.images)} images of the model are not among the photos, "
-            f"first {missing[0]}",
-            folder,
-            "add the photos, or remove those images from the model",
-        )
-
     sizes = {p["name"]: p["original_size"] for p in photos}
     for name, (lens, _) in found.items():
         check_shape(lens.width, lens.height, sizes[name], folder, name)
@@ -367,8 +344,9 @@ def _estimated(
     """Lens and pose per photo name from COLMAP (given model or reconstruction), the model, its
     image name -> photo name, and facts.
     """
-    if (scene / "sparse" / "0").is_dir():
-        model, names, found = _given_model(scene / "sparse" / "0", photos)
+    folder = model_folder(scene)
+    if folder is not None:
+        model, names, found = _given_model(folder, photos)
         facts: dict = {"source": "colmap"}
     else:
         model, names, attempts = reconstruct(capture, photos, settings, threads)
@@ -409,7 +387,7 @@ def upright(
     plane = ground_plane(xyz, positions(poses), up, axes_meeting_point(poses), settings.seed)
     masks = None
     if all(p["has_mask"] for p in kept):
-        masks = [_read_mask(capture, p["name"]) for p in kept]
+        masks = [read_png(capture / "masks" / f"{p['name']}.png") for p in kept]
     points = object_points(xyz, poses, lenses, plane, masks)
     center, radius, how = object_sphere(points, poses, None if masks is not None else plane)
 

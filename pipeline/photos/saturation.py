@@ -15,12 +15,12 @@ NEAR_LEVEL = 0.98  # share of a view's clip level from which a pixel counts as s
 
 
 def saturated(folder: Path, view: View, photo: np.ndarray) -> np.ndarray:
-    """Which pixels (h, w) of the linear `photo` (h, w, 3) are lower bounds only.
+    """Which channels of which pixels (h, w, 3) of the linear `photo` (h, w, 3) are lower bounds
+    only.
 
     folder: where the view's pictures lie (the poses stage's). Views without a picture of their
-    saturated pixels were not captured from files; for them the brightest channel is held against
-    the clip level.
+    saturated pixels were not captured from files; they are held against the clip level.
     """
     if view.saturated is None:
-        return photo.max(-1) >= NEAR_LEVEL * view.clip_level
+        return photo >= NEAR_LEVEL * view.clip_level
     return read_png(folder / view.saturated) > 127

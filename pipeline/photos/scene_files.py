@@ -7,15 +7,15 @@ A photo's name is its path below `images/` (or below the scene folder) without s
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable
 from pathlib import Path
 
 from pipeline.base.errors import InputError
 from pipeline.photos.decode import SUFFIXES
+from pipeline.photos.given_masks import mask_file
+from pipeline.photos.transforms_file import read_transforms_file
 
-MASK_SUFFIXES = (".png", ".PNG", ".jpg", ".JPG", ".jpeg")
 CAMERA_FILES = ("transforms.json", "transforms_train.json")
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".pef", ".srw")
 VIDEO = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm")
@@ -25,6 +25,9 @@ NOT_READ = (
     | dict.fromkeys(VIDEO, "video: extract its frames as JPEG")
     | dict.fromkeys(OTHER_PICTURES, "format that is not read: save it as PNG, JPEG or TIFF")
 )
+LONGEST_NAME = 235  # bytes: file systems take 255, and a file being written is called longer
+OTHER_MESHES = (".glb", ".gltf", ".fbx", ".stl", ".dae", ".usd", ".usdz", ".usda", ".blend")
+NO_MESH = "mesh of a format that is not read: export it as mesh.ply or mesh.obj"
 NOT_NAMED = "photo that the transforms file does not name"
 NO_PHOTO = "mask whose name matches no photo's: call it <stem of the photo>.png"
 
@@ -58,13 +61,8 @@ def named_frames(scene: Path, file: Path) -> list[Path]:
     """Photos that a transforms file names (suffix may be missing). A missing photo is an
     InputError.
     """
-    try:
-        frames = json.loads(file.read_text(encoding="utf-8"))["frames"]
-        stems = [path_in_scene(scene, frame["file_path"], file) for frame in frames]
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"not a transforms file ({error!r})", file, "see NeRF-synthetic or nerfstudio's format"
-        ) from error
+    frames = read_transforms_file(file).frames
+    stems = [path_in_scene(scene, frame.file_path, file) for frame in frames]
     out: list[Path] = []
     missing: list[Path] = []
     for stem in stems:
@@ -110,7 +108,7 @@ def find_photos(scene: Path) -> list[tuple[str, Path, str]]:
         paths = sorted(
             p
             for p in folder.rglob("*")
-            if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")
+            if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and not p.is_dir()
         )
         out = [
             (photo_name(scene, p), p, "fit")
@@ -132,19 +130,31 @@ def find_photos(scene: Path) -> list[tuple[str, Path, str]]:
     names = [n for n, _, _ in out]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
+        files = [p.relative_to(scene).as_posix() for n, p, _ in out if n == twice[0]]
         raise InputError(
-            f"two photos are called '{twice[0]}'", scene, "give every photo a name of its own"
+            f"two photos, {' and '.join(files[:2])}, are called '{twice[0]}'",
+            scene,
+            "give every photo a name of its own",
         )
+    for name, path, _ in out:
+        _check_name(name, path)
     return out
 
 
-def mask_file(scene: Path, photo: Path) -> Path | None:
-    """The mask that the user gave for a photo, if there is one: masks/<stem of the photo>.png, or
-    masks/<name of the photo>.png, with the photo's own suffix in it.
-    """
-    stems = (photo.stem, photo.name)
-    candidates = (scene / "masks" / (stem + end) for stem in stems for end in MASK_SUFFIXES)
-    return next((file for file in candidates if file.exists()), None)
+def _check_name(name: str, path: Path) -> None:
+    """InputError for a name that cannot be a file's in work/, or written down."""
+    try:
+        length = len(f"{name}.png".encode())
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"the name of a photo, {path.name!r}, is not UTF-8", path.parent, "rename it"
+        ) from error
+    if length > LONGEST_NAME:
+        raise InputError(
+            f"its name, with its folders {length} bytes, is over {LONGEST_NAME}",
+            path,
+            "give it or its folders shorter names",
+        )
 
 
 def left_out(scene: Path, found: list[tuple[str, Path, str]]) -> dict[str, list[str]]:
@@ -168,6 +178,9 @@ def left_out(scene: Path, found: list[tuple[str, Path, str]]) -> dict[str, list[
     lone = [f for f in files if f not in masks]
     if lone:
         out[NO_PHOTO] = [f.relative_to(scene).as_posix() for f in lone]
+    meshes = [f.name for f in sorted(scene.glob("mesh.*")) if f.suffix.lower() in OTHER_MESHES]
+    if meshes:
+        out[NO_MESH] = meshes
     return out
 
 

@@ -12,6 +12,8 @@ variance of matched points' log brightness, each less its own mean, that one com
 
 explains. Gloss is no evidence: in static light each point has its highlight at another d.
 
+Where no points were matched, the surface's own texels take their place (render/moving_light.py).
+
 Where the light moves, the cameras' path says which of the two it is: a turntable's cameras stand on
 a circle to within a fraction of a per cent, hand-held ones to within ten.
 """
@@ -36,16 +38,20 @@ SEEN_BY = 4  # views of a point
 class LightMotion:
     """explained: share of variance that turning past the lamp explains, None where too few points
     were matched; points: how many were; circle: the cameras' deviation from a circle over its
-    radius.
+    radius; course: root mean square of f(d) in stops; least_course: what it must reach at least.
     """
 
     explained: float | None
     points: int
     circle: float
+    course: float | None = None
+    least_course: float = 0.0
 
     @property
     def moves(self) -> bool:
-        return self.explained is not None and self.explained > MOVING
+        if self.explained is None or (self.course or 0.0) < self.least_course:
+            return False
+        return self.explained > MOVING
 
     def facts(self) -> dict:
         return asdict(self) | {"moves_with_camera": self.moves}
@@ -57,16 +63,26 @@ def light_motion(
     """Evidence from matched points xyz (n, 3) within the object's sphere. level: their log2
     brightness (views, n) less the photos' gains, NaN where unknown.
     """
+    on_object = np.linalg.norm(xyz - center, axis=1) < radius
+    return motion_of(views, level[:, on_object], center)
+
+
+def motion_of(
+    views: list[View], level: np.ndarray, center: np.ndarray, least_course: float = 0.0
+) -> LightMotion:
+    """Evidence from the log2 brightness (views, n) of points on the object, whose axis passes
+    through `center`.
+    """
     positions = np.stack([v.position for v in views])
     up = -np.stack([v.world_to_camera[1, :3] for v in views]).mean(0)
     up /= np.linalg.norm(up)
 
-    on_object = np.linalg.norm(xyz - center, axis=1) < radius
-    use = on_object & (np.isfinite(level).sum(0) >= SEEN_BY)
-    explained = None
+    use = np.isfinite(level).sum(0) >= SEEN_BY
+    found: tuple[float | None, float | None] = None, None
     if len(views) >= FEWEST_VIEWS and use.sum() >= FEWEST_POINTS:
-        explained = explained_by_turning(level[:, use], azimuths(positions - center, up))
-    return LightMotion(explained, int(use.sum()), off_circle(positions))
+        found = explained_by_turning(level[:, use], azimuths(positions - center, up))
+    share, course = found
+    return LightMotion(share, int(use.sum()), off_circle(positions), course, least_course)
 
 
 def azimuths(offsets: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -76,9 +92,10 @@ def azimuths(offsets: np.ndarray, up: np.ndarray) -> np.ndarray:
     return np.arctan2(offsets @ np.cross(up, side), offsets @ side)
 
 
-def explained_by_turning(level: np.ndarray, azimuth: np.ndarray) -> float:
+def explained_by_turning(level: np.ndarray, azimuth: np.ndarray) -> tuple[float, float]:
     """Share of the variance of log brightness (views, points), NaN where unknown, each point less
-    its mean, that f(d) explains. azimuth: (views,). Outliers are drawn in to three deviations.
+    its mean, that f(d) explains, and the root mean square of f(d) over it. azimuth: (views,).
+    Outliers are drawn in to three deviations.
     """
     seen = np.isfinite(level)
     count = seen.sum(0)
@@ -93,9 +110,10 @@ def explained_by_turning(level: np.ndarray, azimuth: np.ndarray) -> float:
     limit = 3 * 1.4826 * np.median(np.abs(rest))
     rest = rest.clip(-limit, limit)
     if not rest.any():
-        return 0.0
-    course = np.linalg.lstsq(basis, rest, rcond=None)[0]
-    return float(1 - ((rest - basis @ course) ** 2).sum() / (rest**2).sum())
+        return 0.0, 0.0
+    course = basis @ np.linalg.lstsq(basis, rest, rcond=None)[0]
+    left = ((rest - course) ** 2).sum() / (rest**2).sum()
+    return float(1 - left), float(np.sqrt((course**2).mean()))
 
 
 def off_circle(positions: np.ndarray) -> float:
@@ -109,6 +127,13 @@ def off_circle(positions: np.ndarray) -> float:
     radius = np.sqrt(max(rest + x * x + y * y, 1e-12))
     radial = np.hypot(flat[:, 0] - x, flat[:, 1] - y) - radius
     return float(np.sqrt((radial**2 + (centred @ axes[2]) ** 2).mean()) / radius)
+
+
+def resting(motion: LightMotion) -> str:
+    """What light that rests would look like."""
+    if not motion.least_course or motion.course is None:
+        return "static light: below 3 %"
+    return f"{motion.course:.2f} stops; static light: below {motion.least_course:g}"
 
 
 def check(motion: LightMotion, where: str, accept: bool) -> list[str]:
@@ -128,7 +153,7 @@ def check(motion: LightMotion, where: str, accept: bool) -> list[str]:
     )
     text = (
         f"the light moves with the camera: {100 * (motion.explained or 0):.0f} % of what changes "
-        f"in brightness follows the turn past the lamp (static light: below 3 %); {kind}. No one "
+        f"in brightness follows the turn past the lamp ({resting(motion)}); {kind}. No one "
         "light around the object explains such photos"
     )
     if accept:

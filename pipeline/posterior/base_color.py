@@ -19,14 +19,19 @@ import numpy as np
 
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.posterior.shading import Shading
-from pipeline.posterior.textures import bilinear_matrix, fill, seen_texels
+from pipeline.posterior.textures import bilinear_matrix, fill, gather, seen_texels
 from pipeline.render.observe import Observations
 
 COARSEST = 32  # side of the pyramid's smallest map
 # relative errors at which a pixel loses half its weight, one solve after the other: the first must
 # not lock in what a mean over all pixels says
 CONTRADICTIONS = (1.0, 0.5, 0.25, 0.25)
-EVERY = 5  # one view of so many judges how sharp the map may be
+EVERY = 5  # one view of so many judges how sharp the map may be, and how bright the light
+BRIGHTER = (1.0, 1.2, 1.45, 1.75, 2.1)  # factors of the light that are tried
+# part of the mean error that a brighter light must save: less than that is chance
+CLEAR_GAIN = 0.03
+# part of the pixels that must lie where a base colour is at its limit, before any is tried
+AT_LIMIT = 0.05
 
 
 @dataclass(frozen=True)
@@ -146,8 +151,7 @@ class ColorSolver:
     def photo(self, picture: np.ndarray) -> np.ndarray:
         """What the photos say (n, 3); where they are saturated, the larger of it and `picture`."""
         seen = self.observations.rgb
-        clipped = self.observations.clipped[:, None]
-        return np.where(clipped, np.maximum(seen, picture), seen)
+        return np.where(self.observations.clipped, np.maximum(seen, picture), seen)
 
     def mean(self, weight: np.ndarray, photo: np.ndarray, sharpness: Sharpness) -> np.ndarray:
         """Colours (t, t, 3) of the photos (n, 3), pixels weighted by (n, 3)."""
@@ -187,17 +191,59 @@ class ColorSolver:
         """Of CHOICES the one whose map, made from the other views with the pixels' `weight` (n, 3),
         explains every EVERY-th best; there all pixels count, as they do in a score.
         """
-        judge = (self.observations.view % EVERY == 0)[:, None]
-        if judge.all() or not judge.any():
+        judge = judges(self.observations)
+        if judge is None:
             return USUAL
 
-        made_from = np.where(judge, 0, weight)
+        made_from = np.where(judge[:, None], 0, weight)
         errors = []
         for sharpness in CHOICES:
             picture = self.picture(self.mean(made_from, photo, sharpness))
-            relative = np.log((np.maximum(picture, 0) + SHADE) / (photo + SHADE))
-            errors.append(float((relative[judge[:, 0]] ** 2).mean()))
+            errors.append(float((log_error(picture, photo)[judge] ** 2).mean()))
         return CHOICES[int(np.argmin(errors))]
+
+
+def judges(observations: Observations) -> np.ndarray | None:
+    """Which pixels (n,) are of every EVERY-th view; None where those are all views or none."""
+    judge = observations.view % EVERY == 0
+    return None if judge.all() or not judge.any() else judge
+
+
+def log_error(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:
+    """Relative errors (n, 3) of a picture."""
+    return np.log((np.maximum(picture, 0) + SHADE) / (photo + SHADE))
+
+
+def share_at_limit(color: np.ndarray) -> float:
+    """Part of colours (n, 3) with a channel at ALBEDO_MAX."""
+    return float((color >= 0.99 * ALBEDO_MAX).any(1).mean())
+
+
+def brighter_light(observations: Observations, shading: Shading, begin: np.ndarray) -> float:
+    """Factor >= 1 by which the light of `shading` must be brighter for base colours <= 1 to explain
+    the photos: of BRIGHTER the one whose colours, made from the other views, explain every EVERY-th
+    best; 1 where it saves less than CLEAR_GAIN of the error, or where fewer than AT_LIMIT of the
+    pixels show a colour at its limit. `begin` (t, t, 3).
+
+    A light that is too dim would be made up for by colours above 1, which there are not.
+    """
+    judge = judges(observations)
+    if judge is None:
+        return 1.0
+
+    errors: list[float] = []
+    for factor in BRIGHTER:
+        brighter = Shading(factor * shading.scaled, factor * shading.rest)
+        solver = ColorSolver(observations, brighter, len(begin))
+        color, weight, _ = solver.robust(begin)
+        if not errors and share_at_limit(gather(color, observations.uv)) < AT_LIMIT:
+            return 1.0
+
+        photo = solver.photo(solver.picture(color))
+        picture = solver.picture(solver.mean(np.where(judge[:, None], 0, weight), photo, USUAL))
+        errors.append(float(np.abs(log_error(picture, photo)[judge]).mean()))
+    best = int(np.argmin(errors))
+    return BRIGHTER[best] if errors[best] < (1 - CLEAR_GAIN) * errors[0] else 1.0
 
 
 def color_map(

@@ -13,13 +13,16 @@ import torch
 from pipeline.base.config import Fit
 from pipeline.base.images import luminance
 from pipeline.base.progress import Bar
+from pipeline.posterior.adam import Adam
 from pipeline.posterior.material_optimizer import BETAS, MaterialOptimizer
 from pipeline.posterior.problem import Problem, renderer_seed
+from pipeline.posterior.seen_light import SeenLight
 from pipeline.render.renderer import Explanation
 
 ALBEDO_START = 0.35
 ROUGHNESS_START = 0.5
 METALLIC_START = 0.05
+SEEN_WEIGHT = 0.1  # of what is seen of the light, beside the data term
 
 
 class LightOptimizer:
@@ -27,7 +30,7 @@ class LightOptimizer:
 
     def __init__(self, light: np.ndarray, learning_rate: float):
         self.log_light = torch.from_numpy(np.log(light))
-        self.adam = torch.optim.Adam([self.log_light], learning_rate, betas=BETAS)
+        self.adam = Adam([self.log_light], [learning_rate], BETAS)
 
     def light(self) -> np.ndarray:
         """Radiance (h, 2h, 3)."""
@@ -39,7 +42,7 @@ class LightOptimizer:
         self.adam.step()
 
     def set_learning_rate(self, learning_rate: float) -> None:
-        self.adam.param_groups[0]["lr"] = learning_rate
+        self.adam.set_learning_rate(learning_rate)
 
 
 class BestState:
@@ -99,13 +102,15 @@ def fit(problem: Problem, settings: Fit) -> tuple[Explanation, dict]:
     Ours: the sum runs over random pixels of all views; the error is relative with a floor, and
     one-sided where a photo is saturated (problem.py); Adam moves log x instead of x; its rate falls
     tenfold over the run, for a constant one diverges late; the gradient's noise is made independent
-    of the residual's (render/renderer.py, crossed_adjoint); the state returned is the one with the
-    least running mean of the loss, not the last.
+    of the residual's (render/renderer.py, crossed_adjoint); what photos show of the light itself
+    pulls at it (seen_light.py); the state returned is the one with the least running mean of the
+    loss, not the last.
     """
     rng = np.random.default_rng(settings.seed)
     first = start(problem, settings.texture)
     materials = MaterialOptimizer(first, settings.learning_rate, problem.roughness_min)
     light = LightOptimizer(first.light, settings.learning_rate)
+    seen = SeenLight.of(problem.observations.surroundings.sightings, len(first.light))
     best = BestState(settings.steps)
     losses = []
 
@@ -120,7 +125,8 @@ def fit(problem: Problem, settings: Fit) -> tuple[Explanation, dict]:
             gradient = problem.gradient(explanation, batch, renderer_seed(rng))
             best.see(step, explanation, gradient.loss)
 
-            light.step(gradient.light, explanation.light)
+            pull = seen.slope(explanation.light.reshape(-1, 3)).reshape(first.light.shape)
+            light.step(gradient.light + SEEN_WEIGHT * pull, explanation.light)
             materials.step(gradient)
             losses.append(gradient.loss)
             bar.step(f"loss {best.running_mean:.4f}")

@@ -26,10 +26,17 @@ def load_problem(
     observe, poses, atlas, mesh: folders of those stages. Raises InputError where the mesh's folder
     has no surface.json.
     """
-    renderer = Renderer(atlas / "mesh_uv.ply", texture, light_height, scene.render.max_depth)
+    observations = Observations(observe, poses / "cameras.json")
+    renderer = Renderer(
+        atlas / "mesh_uv.ply",
+        texture,
+        light_height,
+        scene.render.max_depth,
+        observations.surroundings.ground,
+    )
 
     return Problem(
-        Observations(observe, poses / "cameras.json"),
+        observations,
         renderer,
         scene.render.roughness_min,
         SurfaceFacts.load(mesh).normal_error,

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import torch
 
+from pipeline.posterior.adam import Adam
 from pipeline.posterior.problem import ALBEDO_MAX
 from pipeline.render.renderer import Explanation, Gradient
 
@@ -26,8 +27,13 @@ class MaterialOptimizer:
         explanation: Explanation,
         learning_rate: float | dict[str, float],
         roughness_min: float,
+        betas: tuple[float, float] = BETAS,
+        blurred: bool = True,
     ):
-        """learning_rate: one number, or one per name of MAPS."""
+        """learning_rate: one number, or one per name of MAPS; betas: Adam's; blurred: roughness and
+        metallic move as smooth fields.
+        """
+        self.blurred = blurred
         self.values = {name: torch.from_numpy(getattr(explanation, name).copy()) for name in MAPS}
         self.bounds: dict[str, tuple[Bound, Bound]] = {
             "base_color": (0.0, ALBEDO_MAX),
@@ -37,14 +43,14 @@ class MaterialOptimizer:
 
         if not isinstance(learning_rate, dict):
             learning_rate = dict.fromkeys(MAPS, learning_rate)
-        groups = [{"params": [self.values[name]], "lr": learning_rate[name]} for name in MAPS]
-        self.adam = torch.optim.Adam(groups, betas=BETAS)
+        values, rates = [self.values[name] for name in MAPS], [learning_rate[n] for n in MAPS]
+        self.adam = Adam(values, rates, betas)
 
     def step(self, gradient: Gradient) -> None:
         """One step of Adam down the gradient, then back into the valid ranges."""
         for name, value in self.values.items():
             slope: np.ndarray = np.ascontiguousarray(getattr(gradient, name), np.float32)
-            if name != "base_color":
+            if name != "base_color" and self.blurred:
                 # photos say little about the fine detail of gloss: move it as a smooth field
                 slope = cv2.GaussianBlur(slope, (0, 0), max(slope.shape[0] / SMOOTH, 0.5))
             value.grad = torch.from_numpy(slope)
@@ -56,8 +62,7 @@ class MaterialOptimizer:
 
     def set_learning_rate(self, learning_rate: float) -> None:
         """The same rate for all three maps."""
-        for group in self.adam.param_groups:
-            group["lr"] = learning_rate
+        self.adam.set_learning_rate(learning_rate)
 
     def explanation(self, light: np.ndarray) -> Explanation:
         """The maps as they are, under `light`. They share memory with the parameters: the next

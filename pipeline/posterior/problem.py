@@ -25,7 +25,8 @@ class PixelBatch:
     """Pixels of one optimisation step.
 
     index (n,) among the observations; origins, directions (spp, n, 3) of camera rays through them;
-    observed (n, 3) linear radiance; clipped (n,) whether it is only a lower bound.
+    observed (n, 3) linear radiance; clipped (n, 3) whether it is only a lower
+    bound.
     """
 
     index: np.ndarray
@@ -71,7 +72,7 @@ class Problem:
 
     @staticmethod
     def residual(radiance: np.ndarray, batch: PixelBatch) -> np.ndarray:
-        """Relative error with a floor (n, 3); zero where a saturated pixel is exceeded."""
+        """Relative error with a floor (n, 3); zero where a saturated value is exceeded."""
         relative = (radiance - batch.observed) / (batch.observed + SHADE)
         return without_excess(relative, batch)
 
@@ -108,10 +109,10 @@ class Problem:
 
 
 def without_excess(error: np.ndarray, batch: PixelBatch) -> np.ndarray:
-    """Error (n, 3) of a prediction less the photo; zero where a saturated pixel is exceeded, for
+    """Error (n, 3) of a prediction less the photo; zero where a saturated value is exceeded, for
     that is what saturation allows.
     """
-    return np.where(batch.clipped[:, None] & (error > 0), 0, error)
+    return np.where(batch.clipped & (error > 0), 0, error)
 
 
 def generators(settings: Sample, seed: int) -> tuple[np.random.Generator, torch.Generator]:

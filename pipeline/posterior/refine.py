@@ -2,11 +2,15 @@
 
 Four steps, one after the other:
 
-1. Light scale: a closed-form factor.
-2. Base colour in closed form (base_color.py), from few paths (shading.py).
-3. Roughness and metallic: Adam through the path tracer, on maps of moderate size, because photos
-   say little about their fine detail. The base colour moves along. Where the sampler drew them,
-   roughness stays near the draw and metallic as drawn.
+1. Light scale: a closed-form factor, where the sampler did not draw it.
+2. Base colour in closed form (base_color.py), from few paths (shading.py); and a brighter light, if
+   colours above 1 would be needed under this one.
+3. Roughness, which from here on holds what the mesh's normals miss too (`as_the_mesh_shows`), and
+   metallic. With `gloss: tested` a number takes the place of each map that blocks of pixels, held
+   out up to here, do not ask for (gloss_maps.py). A roughness that stays a map is moved: Adam
+   through the path tracer, on maps of moderate size, because photos say little about their fine
+   detail. The base colour moves along. Where the sampler drew them, roughness stays near the draw
+   and metallic as drawn.
 4. Base colour again, with these and at full size.
 """
 
@@ -18,15 +22,25 @@ import numpy as np
 
 from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
-from pipeline.posterior.base_color import USUAL, Sharpness, color_map, shared_between_photos
+from pipeline.posterior.base_color import (
+    USUAL,
+    Sharpness,
+    brighter_light,
+    color_map,
+    shared_between_photos,
+)
+from pipeline.posterior.gloss_maps import Split, simplest_gloss, split, with_pixels
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
-from pipeline.posterior.shading import shade
+from pipeline.posterior.shading import Shading, shade
+from pipeline.posterior.split_gibbs.normal_spread import per_axis
 from pipeline.posterior.textures import fill, gather, seen_texels
+from pipeline.render.principled_lobes import blurred_roughness
 from pipeline.render.renderer import Explanation, resize_explanation
 
 COARSE = 256  # side of the maps while roughness and metallic are moved
 SCALE_RANGE = (0.5, 2.0)  # within which the light's scale is refined
+DARK = 1e-6  # factor by which a light is as good as out
 SCALE_PIXELS = 8  # pixels for the light's scale, as a multiple of a step's
 DARKEST_START = 0.02  # base colour: a black one has no direction to move in
 # factor by which roughness may move from a draw: the width of what one draw believes of a region
@@ -40,6 +54,19 @@ def units(settings: Refine) -> int:
     return settings.steps + 2 * COLOR_UNITS
 
 
+def shading_by_color(
+    problem: Problem, explanation: Explanation, pixels: int, rng: np.random.Generator
+) -> tuple[Explanation, Shading]:
+    """The explanation with base colours that a solve can begin from, and what its light and gloss
+    give to every pixel, from paths through `pixels` pixels.
+    """
+    begin = np.clip(explanation.base_color, DARKEST_START, ALBEDO_MAX).astype(np.float32)
+    explanation = replace(explanation, base_color=begin)
+    shading = shade(problem, explanation, pixels, rng)
+    metallic = gather(explanation.metallic, problem.observations.uv)
+    return explanation, shared_between_photos(problem.observations, shading, metallic, len(begin))
+
+
 def solve_base_color(
     problem: Problem,
     explanation: Explanation,
@@ -50,25 +77,36 @@ def solve_base_color(
     """The explanation with the base colour that the photos show under its light and gloss, from
     paths through `pixels` pixels. `sharpness` and the facts are those of `color_map`.
     """
-    begin = np.clip(explanation.base_color, DARKEST_START, ALBEDO_MAX).astype(np.float32)
-    explanation = replace(explanation, base_color=begin)
-    shading = shade(problem, explanation, pixels, rng)
-    metallic = gather(explanation.metallic, problem.observations.uv)
-    shading = shared_between_photos(problem.observations, shading, metallic, len(begin))
+    begin, shading = shading_by_color(problem, explanation, pixels, rng)
+    color, facts = color_map(problem.observations, shading, begin.base_color, sharpness)
+    return replace(begin, base_color=color), facts
 
-    color, facts = color_map(problem.observations, shading, begin, sharpness)
-    return replace(explanation, base_color=color), facts
+
+def solve_color_and_scale(
+    problem: Problem, explanation: Explanation, pixels: int, rng: np.random.Generator
+) -> tuple[Explanation, dict]:
+    """As `solve_base_color`, with the light as bright as base colours <= 1 need it
+    (`brighter_light`): a fact more, `brighter`.
+    """
+    begin, shading = shading_by_color(problem, explanation, pixels, rng)
+    factor = 1.0
+    if problem.renderer.ground is None:  # where it is known, so is the light's scale
+        factor = brighter_light(problem.observations, shading, begin.base_color)
+    shading = Shading(factor * shading.scaled, factor * shading.rest)
+    color, facts = color_map(problem.observations, shading, begin.base_color, USUAL)
+    light = (factor * begin.light).astype(np.float32)
+    return replace(begin, base_color=color, light=light), facts | {"brighter": factor}
 
 
 def light_scale(
     problem: Problem, explanation: Explanation, pixels: int, rng: np.random.Generator
 ) -> float:
     """Least-squares factor of the light, sum w L y / sum w L L over random unsaturated pixels,
-    within SCALE_RANGE.
+    within SCALE_RANGE. What the ground gives is known, and taken off L and y.
     """
     observations = problem.observations
     index = rng.integers(len(observations), size=pixels)
-    unsaturated = ~observations.clipped[index]
+    unsaturated = ~observations.clipped[index].any(1)
     if unsaturated.any():
         index = index[unsaturated]
 
@@ -80,9 +118,29 @@ def light_scale(
     )
     photo = observations.rgb[index]
     weight = 1 / (photo + SHADE) ** 2
+    if problem.renderer.ground is not None:
+        problem.renderer.set(replace(explanation, light=DARK * explanation.light))
+        from_ground = [
+            problem.renderer.radiance(*observations.rays(index, rng), renderer_seed(rng))
+            for _ in range(2)
+        ]
+        one, two = one - from_ground[0], two - from_ground[1]
+        photo = photo - 0.5 * (from_ground[0] + from_ground[1])
     explained = (weight * 0.5 * (one + two) * photo).sum()
     factor = float(explained / np.maximum((weight * one * two).sum(), 1e-9))
     return float(np.clip(factor, *SCALE_RANGE))
+
+
+def as_the_mesh_shows(sample: Explanation, normal_error: float) -> Explanation:
+    """A drawn explanation with the roughness of lobes over normals in error: the sampler draws the
+    material's own, and normals beside it, which no asset has.
+
+    normal_error: median, radians. Of the mesh alone, the material's sharp highlight lies where it
+    does not in the photos, and where it would not under another light.
+    """
+    spread = np.array(per_axis(normal_error))
+    roughness = blurred_roughness(sample.roughness, spread)
+    return replace(sample, roughness=roughness.astype(np.float32))
 
 
 def stay_near(materials: MaterialOptimizer, drawn: Explanation) -> None:
@@ -102,15 +160,19 @@ def move_gloss(
     explanation: Explanation,
     settings: Refine,
     near: bool,
+    numbers: list[str],
     bar: Bar,
     rng: np.random.Generator,
 ) -> Explanation:
     """All three maps after `settings.steps` steps of Adam through the path tracer, light held;
-    near: roughness stays near what it is, and metallic as it is.
+    near: roughness stays near what it is, and metallic as it is; numbers: maps that stay as they
+    are.
     """
     materials = MaterialOptimizer(explanation, settings.learning_rate, problem.roughness_min)
     if near:
         stay_near(materials, explanation)
+    for name in numbers:
+        materials.bounds[name] = getattr(explanation, name), getattr(explanation, name)
 
     losses = []
     for step in range(settings.steps):
@@ -124,6 +186,35 @@ def move_gloss(
     return materials.explanation(explanation.light)
 
 
+def judged_gloss(
+    problem: Problem,
+    explanation: Explanation,
+    parts: Split | None,
+    settings: Refine,
+    rng: np.random.Generator,
+) -> tuple[Explanation, dict]:
+    """With `settings.gloss` "tested" the explanation with roughness and metallic as simple as the
+    judging pixels of `parts` allow (`simplest_gloss`), and what was chosen, as the fact `gloss`;
+    the explanation as it is where there are no such pixels.
+    """
+    if settings.gloss == "maps":
+        return explanation, {}
+    if parts is None:
+        why = "maps stay: too few blocks of pixels to judge them by"
+        return explanation, {"gloss": {"why": why}}
+
+    few = settings.shading_pixels // FEWER
+    solve = lambda of, x: solve_base_color(of, x, few, rng, USUAL)[0]
+    found, facts = simplest_gloss(problem, explanation, parts, solve, rng)
+    return found, {"gloss": facts}
+
+
+def chosen_numbers(tested: dict) -> list[str]:
+    """Names of the maps that are numbers after `judged_gloss`, whose facts these are."""
+    gloss = tested.get("gloss", {})
+    return [n for n in ("roughness", "metallic") if gloss.get(n, {}).get("chosen", "map") != "map"]
+
+
 def refine(
     problem: Problem,
     small: Problem,
@@ -133,7 +224,7 @@ def refine(
     bar: Bar,
     drawn: bool = False,
 ) -> tuple[Explanation, dict]:
-    """A posterior sample's maps at `settings.texture`, and facts.
+    """A posterior sample's maps at `settings.texture` (`gloss_texture`), and facts.
 
     Eq. 17 (published): k, s = argmin over k, s of sum_i || y_i - R(s x, k, c_i) ||^2
 
@@ -141,36 +232,54 @@ def refine(
     held; 200 steps of Adam.
 
     Ours: the relative error of problem.py. s is found once, in closed form and within SCALE_RANGE,
-    before k. Adam moves k on maps of side COARSE at most; the full-size base colour is a robust
-    mean over the photos (`base_color.color_map`), and texels that no photo shows take the nearest
-    seen one's values.
+    before k, and is raised where base colours under 1 cannot explain the photos
+    (`base_color.brighter_light`). Adam moves k on maps of side COARSE at most; the full-size base
+    colour is a robust mean over the photos (`base_color.color_map`), and texels that no photo shows
+    take the nearest seen one's values.
 
     problem: renders at full texture size; small: at min(COARSE, full). drawn: the sampler drew the
-    light's scale and metallic, which then stay, and roughness, which stays near (`stay_near`).
-    `bar` moves on by `units(settings)`.
+    light's scale, which is then only ever raised, metallic, which stays, and roughness, which stays
+    near what the mesh shows of it (`stay_near`). `bar` moves on by `units(settings)`.
     """
     rng = np.random.default_rng([977, seed])
     coarse = resize_explanation(sample, small.renderer.texture)
     scale = 1.0
-    if not drawn:
+    if drawn:
+        coarse = as_the_mesh_shows(coarse, problem.normal_error)
+    else:
         scale = light_scale(small, coarse, SCALE_PIXELS * settings.pixels, rng)
     coarse = replace(coarse, light=(sample.light * scale).astype(np.float32))
 
-    coarse, first = solve_base_color(small, coarse, settings.shading_pixels // FEWER, rng, USUAL)
+    parts = split(small.observations, rng) if settings.gloss == "tested" else None
+    kept = with_pixels(small, parts.kept) if parts else small
+    coarse, first = solve_color_and_scale(kept, coarse, settings.shading_pixels // FEWER, rng)
     bar.step("base colour", COLOR_UNITS)
-    coarse = move_gloss(small, coarse, settings, drawn, bar, rng)
+    coarse, tested = judged_gloss(small, coarse, parts, settings, rng)
+    numbers = chosen_numbers(tested)
+    if "roughness" in numbers:  # moved pixel by pixel it would become a map again
+        bar.step("gloss as drawn", settings.steps)
+    else:
+        coarse = move_gloss(kept, coarse, settings, drawn, numbers, bar, rng)
 
-    full = resize_explanation(coarse, settings.texture)
+    gloss = settings.gloss_texture or settings.texture
+    full = resize_explanation(coarse, settings.texture, gloss)
     full, last = solve_base_color(problem, full, settings.shading_pixels, rng)
     bar.step("base colour", COLOR_UNITS)
 
     seen = seen_texels(problem.observations.uv, settings.texture)
-    full = replace(full, roughness=fill(full.roughness, seen), metallic=fill(full.metallic, seen))
+    seen_gloss = seen if gloss == settings.texture else seen_texels(problem.observations.uv, gloss)
+    full = replace(
+        full,
+        roughness=fill(full.roughness, seen_gloss),
+        metallic=fill(full.metallic, seen_gloss),
+    )
     return full, {
-        "light_scale": scale,
+        "light_scale": scale * first["brighter"],
+        "roughness_of_normals": float(per_axis(problem.normal_error)) if drawn else 0.0,
         "loss_before": first["loss"],
         "loss_last_update": last["loss"],
         "texel_surroundings": last["around"],
         "sharpening_passes": last["passes"],
         "seen_share_of_texels": float(seen.mean()),
+        **tested,
     }

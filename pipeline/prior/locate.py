@@ -8,6 +8,7 @@ from pathlib import Path
 from pipeline.base.errors import InputError, nearest
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "weights"
+GENERATORS = WEIGHTS / "generators"  # of lights, by the name of the sampler that inverts them
 SUFFIX = ".safetensors"
 
 
@@ -60,3 +61,20 @@ def find_prior(name: str) -> Path:
 def prior_files(name: str) -> list[Path]:
     """Every file that the prior called `name` is read from."""
     return part_paths(find_prior(name))
+
+
+def generator_files(method: str) -> list[Path]:
+    """The weights that the sampler called `method` reads besides the priors': none for most."""
+    return part_paths(GENERATORS / f"{method}{SUFFIX}")
+
+
+def find_generator(method: str) -> Path:
+    """The weights of the generator that the sampler `method` inverts. Raises InputError."""
+    if not generator_files(method):
+        raise InputError(
+            "the generator of this sampler has no weights",
+            GENERATORS / f"{method}{SUFFIX}",
+            "check out weights/ again, or train: "
+            "python -m pipeline.prior.training.train_generator --help",
+        )
+    return GENERATORS / f"{method}{SUFFIX}"

@@ -87,6 +87,26 @@ def mirror(env: np.ndarray) -> np.ndarray:
     return env[:, ::-1]
 
 
+def sh_basis(h: int, w: int) -> np.ndarray:
+    """Real spherical harmonics up to order 2 at the pixel centres, (9, h, w), band by band, m =
+    -l..l, Y-up.
+    """
+    x, y, z = np.moveaxis(directions(h, w), -1, 0)
+    return np.stack(
+        [
+            0.282095 * np.ones_like(x),
+            0.488603 * x,
+            0.488603 * y,
+            0.488603 * z,
+            1.092548 * x * z,
+            1.092548 * x * y,
+            0.315392 * (3 * y * y - 1),
+            1.092548 * y * z,
+            0.546274 * (z * z - x * x),
+        ]
+    )
+
+
 def sh_coefficients(env: np.ndarray, order: int = 2) -> np.ndarray:
     """Real spherical-harmonic coefficients up to `order` <= 2, ((order + 1)^2, 3), band by band, m
     = -l..l, Y-up.
@@ -96,19 +116,7 @@ def sh_coefficients(env: np.ndarray, order: int = 2) -> np.ndarray:
     if order > 2:
         raise ValueError("orders above 2 are not implemented")
 
-    x, y, z = np.moveaxis(directions(*env.shape[:2]), -1, 0)
-    basis = [
-        0.282095 * np.ones_like(x),
-        0.488603 * x,
-        0.488603 * y,
-        0.488603 * z,
-        1.092548 * x * z,
-        1.092548 * x * y,
-        0.315392 * (3 * y * y - 1),
-        1.092548 * y * z,
-        0.546274 * (z * z - x * x),
-    ]
-
+    basis = sh_basis(*env.shape[:2])
     weights = solid_angles(*env.shape[:2])
     project = lambda function: (env * (function * weights)[..., None]).sum((0, 1))
     return np.stack([project(function) for function in basis[: (order + 1) ** 2]])

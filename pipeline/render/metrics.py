@@ -27,12 +27,16 @@ class PhotosAndRenderer(Protocol):
     renderer: Renderer
 
 
-def crossed_error(picture: np.ndarray, truth: np.ndarray, again: np.ndarray) -> np.ndarray:
+def crossed_error(
+    picture: np.ndarray, truth: np.ndarray, again: np.ndarray, truth_again: np.ndarray | None = None
+) -> np.ndarray:
     """Squared error (h, w, 3) as sRGB values in [0, 1] of a picture that was rendered twice: the
-    product of both errors, in which the noise of each drops out of the mean.
+    product of both errors, in which the noise of each drops out of the mean. truth_again: where
+    the truth is a render, the same with noise of its own, which drops out too.
     """
     target = linear_to_srgb(truth)
-    return (linear_to_srgb(picture) - target) * (linear_to_srgb(again) - target)
+    other = target if truth_again is None else linear_to_srgb(truth_again)
+    return (linear_to_srgb(picture) - target) * (linear_to_srgb(again) - other)
 
 
 def psnr(
@@ -40,15 +44,17 @@ def psnr(
     truth: np.ndarray,
     mask: np.ndarray | None = None,
     again: np.ndarray | None = None,
+    truth_again: np.ndarray | None = None,
 ) -> float:
     """Peak signal-to-noise ratio in dB of two linear pictures, compared as sRGB values in [0, 1],
     inside `mask`.
 
     again: what `picture` shows, rendered once more with noise of its own. The two errors are
     multiplied then, so that the path tracer's noise drops out: at 64 paths a pixel its square would
-    be a fifth of all error, and more where the light is peaked.
+    be a fifth of all error, and more where the light is peaked. truth_again: as `crossed_error`
+    has it. The score ends at 100 dB, where what is left is noise.
     """
-    error = crossed_error(picture, truth, picture if again is None else again)
+    error = crossed_error(picture, truth, picture if again is None else again, truth_again)
     if mask is not None:
         error = error[mask]
     return float(-10 * np.log10(max(error.mean(), 1e-10)))
@@ -109,7 +115,7 @@ def held_out_photos(
 ) -> list[tuple[View, np.ndarray, np.ndarray]]:
     """Held-out views (at most `limit`) at the size they are scored, each with its photo (h, w, 3)
     and its mask (h, w) less a rim of `erode` mixed pixels; views of which nothing is left are
-    passed over.
+    passed over. Photos are at the observations' exposure.
     """
     held_out = problem.observations.held_out
     spacing = max(1, len(held_out) // limit)
@@ -120,6 +126,7 @@ def held_out_photos(
         size = (small.width, small.height)
 
         photo = cv2.resize(read_exr(poses / view.image), size, interpolation=cv2.INTER_AREA)
+        photo = photo / 2 ** problem.observations.stops[view.name].astype(np.float32)
         inner = inner_mask(read_png(mesh / "masks" / f"{view.name}.png") > 127, erode)
         covered = cv2.resize(inner.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         mask = covered > 0.999  # pixels that lie wholly inside
@@ -184,15 +191,16 @@ def score_held_out(
     }
 
 
-def light_psnr(light: np.ndarray, truth: np.ndarray) -> float:
+def light_psnr(light: np.ndarray, truth: np.ndarray, rows: int | None = None) -> float:
     """PSNR in dB of two lat-long lights as log radiance over a range of e^6, after one common
-    scale; solid-angle weighted.
+    scale; solid-angle weighted. rows: of the uppermost rows only.
     """
     floored_log = lambda env: np.log(np.maximum(env, 1e-3 * env.mean()))
-    log_light = floored_log(light)
-    log_truth = floored_log(truth)
-    weight = (solid_angles(*light.shape[:2]) / (4 * np.pi))[..., None] / 3
+    log_light = floored_log(light)[:rows]
+    log_truth = floored_log(truth)[:rows]
+    weight = solid_angles(*light.shape[:2])[:rows, :, None]
+    weight = weight / weight.sum() / 3
 
     shift = ((log_light - log_truth) * weight).sum()
     error = (((log_light - log_truth - shift) / 6) ** 2 * weight).sum()
-    return float(-10 * np.log10(error))
+    return float(-10 * np.log10(max(error, 1e-10)))

@@ -2,27 +2,38 @@
 mesh.
 
 Arrays of observations.npz, n pixels: view (n,) index into `views`; pixel (n, 2) column and row; rgb
-(n, 3) linear radiance; clipped (n,) whether a channel is saturated (then rgb is only a lower
+(n, 3) linear radiance; clipped (n, 3) whether it is saturated (then rgb is only a lower
 bound); uv (n, 2) texture coordinates of the primary hit, v up; cosine (n,) between its normal and
-the ray. `views` lists the views in use, `held_out` those kept for scoring.
+the ray. `views` lists the views in use, `held_out` those kept for scoring. What they show around
+the object, where it is asked for, lies beside them (surroundings.py).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from pipeline.base.config import Observe
+from pipeline.base.config import Observe, Poses
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, read_png
 from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.geometry.cameras import Rig, View, load_cameras
 from pipeline.photos.saturation import saturated
+from pipeline.render.observe_surroundings import find_surroundings
+from pipeline.render.surface_photometry import (
+    ENOUGH_PIXELS,
+    WITHOUT_POINTS,
+    surface_photometry,
+)
+from pipeline.render.surroundings import Surroundings
 
 FEWEST_PIXELS = 100
+DEFAULT_POSES = Poses()
+SUBPIXELS = 4  # points along a pixel's side that maps are averaged over
 
 
 def hold_out(rig: Rig, share: float, seed: int) -> list[str]:
@@ -47,22 +58,45 @@ def inner_mask(mask: np.ndarray, erode: float) -> np.ndarray:
 
 
 class Tracer:
-    """Primary hits of a mesh."""
+    """Primary hits of a mesh, turned into the world by `to_world` (4, 4)."""
 
-    def __init__(self, mesh: Path):
+    def __init__(self, mesh: Path, to_world: np.ndarray | None = None):
         from pipeline.base.runtime import mitsuba as mi
 
         surface = {"type": "ply", "filename": str(mesh), "flip_tex_coords": False}
-        self.scene = mi.load_dict({"type": "scene", "obj": surface})
+        if to_world is not None:
+            surface["to_world"] = mi.ScalarTransform4f(to_world.tolist())
+        try:
+            self.scene = mi.load_dict({"type": "scene", "obj": surface})
+        except RuntimeError as error:
+            raise InputError(
+                f"not a readable mesh ({error})", mesh, "delete its folder and run the stage again"
+            ) from error
 
     def hit(
         self, origins: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays (n, 3) -> uv (n, 2) with v up, cosine of incidence (n,), and which rays hit (n,)."""
+        if not len(origins):  # a view without the object; Dr.Jit ends the process over no rays
+            return np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool)
         si = self.scene.ray_intersect(mitsuba_rays(origins, directions))
         normal = np.array(si.n).T.reshape(-1, 3)
         cosine = np.abs((normal * directions).sum(-1))
         return np.array(si.uv).T.reshape(-1, 2), cosine, np.array(si.is_valid()).astype(bool)
+
+    def pixel_means(self, view: View, values: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Mean (h, w, c) of values(uv (n, 2)) -> (n, c) over SUBPIXELS^2 points of every pixel, of
+        those that show the mesh; zero where none does.
+        """
+        total: np.ndarray | float = 0.0
+        count = np.zeros(view.width * view.height)
+        share = (np.arange(SUBPIXELS) + 0.5) / SUBPIXELS - 0.5
+        for offset in np.stack(np.meshgrid(share, share), -1).reshape(-1, 2):
+            uv, _, hit = self.hit(*view.rays(view.pixel_centers().reshape(-1, 2) + offset))
+            total = total + values(uv) * hit[:, None]
+            count += hit
+        means = np.asarray(total) / np.maximum(count, 1)[:, None]
+        return means.reshape(view.height, view.width, -1)
 
 
 def object_pixels(views: list[View], masks: Path, erode: float) -> list[np.ndarray]:
@@ -93,7 +127,7 @@ def observe_view(
     tracer: Tracer,
 ) -> dict[str, np.ndarray]:
     """The table's columns for `pixels` (k, 2), row and column, of one view; without those whose ray
-    passes the mesh by. photo: (h, w, 3); clipped: (h, w), where it is saturated.
+    passes the mesh by. photo, and clipped, where it is saturated: (h, w, 3).
     """
     rows, columns = pixels.T
     centres = np.stack([columns + 0.5, rows + 0.5], -1)
@@ -145,17 +179,31 @@ def observe_views(
     return table, drawn
 
 
-def make_observations(poses: Path, masks: Path, mesh: Path, out: Path, settings: Observe) -> dict:
+def make_observations(
+    poses: Path,
+    masks: Path,
+    mesh: Path,
+    out: Path,
+    settings: Observe,
+    photometry: Poses = DEFAULT_POSES,
+) -> dict:
     """Draw `settings.pixels` pixels evenly over the masked pixels of all fit views; write
-    observations.npz and return its facts.
+    observations.npz and return its facts. photometry: whether exposures are matched, and what to do
+    where the light moves with the camera, if the cameras came without matched points.
 
-    Raises InputError where masks, mesh and cameras leave nothing to observe.
+    Raises InputError where masks, mesh and cameras leave nothing to observe, or where the light
+    moves with the camera and is to be refused.
     """
     rig = load_cameras(poses / "cameras.json")
     held_out = hold_out(rig, settings.held_out, settings.seed)
     views = [view for view in rig.fit_views() if view.name not in held_out]
 
     table, drawn = observe_views(views, poses, masks, mesh, settings)
+    names = [view.name for view in views] + held_out
+    stops, light = exposures(rig, names, poses, masks, mesh, settings, photometry)
+    left = dict(zip(names, stops))
+    table["rgb"] = table["rgb"] / 2 ** stops[table["view"]].astype(np.float32)
+    around, facts = find_surroundings(rig, views, poses, masks, mesh, settings, left)
     np.savez(
         out / "observations.npz",
         view=table["view"],
@@ -166,6 +214,8 @@ def make_observations(poses: Path, masks: Path, mesh: Path, out: Path, settings:
         cosine=table["cosine"],
         views=np.array([view.name for view in views]),
         held_out=np.array(held_out),
+        stops=stops,
+        **around.arrays(),
     )
 
     count = len(table["view"])
@@ -174,12 +224,37 @@ def make_observations(poses: Path, masks: Path, mesh: Path, out: Path, settings:
         "views": len(views),
         "held_out": held_out,
         "missed_share": float((drawn - count) / drawn),
-        "clipped_share": float(table["clipped"].mean()),
+        "clipped_share": float(table["clipped"].any(1).mean()),
+        **light,
+        **facts,
     }
 
 
+def exposures(
+    rig: Rig,
+    names: list[str],
+    poses: Path,
+    masks: Path,
+    mesh: Path,
+    settings: Observe,
+    photometry: Poses,
+) -> tuple[np.ndarray, dict]:
+    """log2 gains (n, 3) that the photos of the views `names` are to be divided by, and facts. 0
+    where the poses stage has done so.
+    """
+    if rig.source != WITHOUT_POINTS:
+        return np.zeros((len(names), 3)), {}
+    by_name = {view.name: view for view in rig.views}
+    views = [by_name[name] for name in names]
+    fewer = settings.model_copy(update={"pixels": min(settings.pixels, ENOUGH_PIXELS)})
+    table, _ = observe_views(views, poses, masks, mesh, fewer)
+    return surface_photometry(table, views, rig, str(poses), photometry)
+
+
 class Observations:
-    """The table in memory, with jittered camera rays for any subset."""
+    """The table in memory, with jittered camera rays for any subset. stops: log2 gains (3,) that
+    are divided out, by the view's name.
+    """
 
     def __init__(self, folder: Path, cameras: Path):
         data = np.load(Path(folder) / "observations.npz")
@@ -189,11 +264,16 @@ class Observations:
         self.clipped = data["clipped"]
         self.uv = data["uv"]
         self.cosine = data["cosine"]
+        self.surroundings = Surroundings.of(data)
 
         self.rig = load_cameras(cameras)
         by_name = {view.name: view for view in self.rig.views}
         self.views: list[View] = [by_name[name] for name in data["views"]]
         self.held_out: list[View] = [by_name[name] for name in data["held_out"]]
+        names = [*data["views"].tolist(), *data["held_out"].tolist()]
+        # an earlier version's table has none: it divided nothing out
+        stops = data["stops"] if "stops" in data else np.zeros((len(names), 3))
+        self.stops = dict(zip(names, stops))
 
         self.origin = np.stack([view.position for view in self.views])
         self.turn = np.stack([view.world_to_camera[:3, :3] for view in self.views])

@@ -26,6 +26,7 @@ from pipeline.base.runtime import mitsuba as mi
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.render.envmap import mitsuba_gradient, to_mitsuba
 from pipeline.render.shading_normals import material_keys, with_normal_map
+from pipeline.render.surroundings import Ground
 
 KEYS = {
     "light": "light.data",
@@ -87,9 +88,9 @@ def _blank_texture(side: int, channels: int) -> dict:
     }
 
 
-def _scene(mesh: Path, texture: int, light_height: int) -> Any:
+def _scene(mesh: Path, texture: int, light_height: int, ground: Ground | None) -> Any:
     """Mitsuba scene of a mesh, with the normal map that lies beside it, and blank textures of side
-    `texture` under a constant light.
+    `texture` under a constant light, on the `ground` if there is one.
     """
     light = np.ones((2 * light_height + 1, 2 * light_height, 3), np.float32)  # as `to_mitsuba`
     material = {
@@ -105,13 +106,12 @@ def _scene(mesh: Path, texture: int, light_height: int) -> Any:
         "flip_tex_coords": True,
         "bsdf": {"type": "twosided", "b": with_normal_map(material, mesh)},
     }
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "light": {"type": "envmap", "bitmap": mi.Bitmap(light)},
-            "obj": surface,
-        }
-    )
+    parts = {
+        "type": "scene",
+        "light": {"type": "envmap", "bitmap": mi.Bitmap(light)},
+        "obj": surface,
+    }
+    return mi.load_dict(parts if ground is None else parts | {"ground": ground.shape()})
 
 
 def crossed_adjoint(paths: np.ndarray, loss_and_slope: LossAndSlope) -> tuple[float, np.ndarray]:
@@ -136,10 +136,19 @@ class Renderer:
     map lies beside the mesh (pipeline/geometry/normal_maps.py) it shades with that.
 
     max_depth counts as in Mitsuba: 2 = direct light only, 4 = up to three surface interactions.
-    Raises InputError where the mesh does not exist.
+    ground: shines on the object and hides the light below it; cameras do not see it. `scene` is of
+    the object alone, for rays that look for its surface. Raises InputError where the mesh does not
+    exist.
     """
 
-    def __init__(self, mesh: Path, texture: int, light_height: int, max_depth: int):
+    def __init__(
+        self,
+        mesh: Path,
+        texture: int,
+        light_height: int,
+        max_depth: int,
+        ground: Ground | None = None,
+    ):
         if not Path(mesh).exists():
             raise InputError("the mesh does not exist", mesh, "run the atlas stage first")
         self.mesh = Path(mesh)
@@ -147,8 +156,12 @@ class Renderer:
         self.texture = texture
         self.light_shape = (light_height, 2 * light_height, 3)
 
-        self.scene = _scene(self.mesh, texture, light_height)
-        self.params = mi.traverse(self.scene)
+        self.ground = ground
+        self.scene = _scene(self.mesh, texture, light_height, None)
+        self.lit = self.scene
+        if ground is not None:
+            self.lit = _scene(self.mesh, texture, light_height, ground)
+        self.params = mi.traverse(self.lit)
         self.keys = material_keys(KEYS, self.mesh)
         self.params.keep(list(self.keys.values()))
         self.integrator = mi.load_dict(
@@ -192,7 +205,7 @@ class Renderer:
         sampler.seed(seed, len(origins))
         return self.integrator.sample(
             mode=mode,
-            scene=self.scene,
+            scene=self.lit,
             sampler=sampler,
             ray=mitsuba_rays(origins, directions),
             δL=adjoint,
@@ -265,14 +278,22 @@ class Renderer:
         )
 
 
-def resize_explanation(explanation: Explanation, texture: int) -> Explanation:
-    """The same maps at another texture size (area down, linear up)."""
-    smaller = texture < explanation.roughness.shape[0]
-    how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-    resized = lambda image: cv2.resize(image, (texture, texture), interpolation=how)
+def resized(image: np.ndarray, side: int) -> np.ndarray:
+    """A map (t, t) or (t, t, c) at another size (area down, linear up)."""
+    how = cv2.INTER_AREA if side < image.shape[0] else cv2.INTER_LINEAR
+    return cv2.resize(image, (side, side), interpolation=how)
+
+
+def resize_explanation(
+    explanation: Explanation, texture: int, gloss: int | None = None
+) -> Explanation:
+    """The same maps at another texture size; roughness and metallic of side `gloss`, none: as the
+    base colour.
+    """
+    side = gloss or texture
     return replace(
         explanation,
-        base_color=resized(explanation.base_color),
-        roughness=resized(explanation.roughness),
-        metallic=resized(explanation.metallic),
+        base_color=resized(explanation.base_color, texture),
+        roughness=resized(explanation.roughness, side),
+        metallic=resized(explanation.metallic, side),
     )

@@ -17,6 +17,10 @@ resolved. Light from the object onto itself: radiosity between surface points, t
 with the albedo that the material's lobes have (Goral et al. 1984), as many bounces as the path
 tracer is given.
 
+Light from the ground (surroundings.py), where it is known: what the rows reflect of it stands in
+three more columns of the matrices for light off the object, one for each channel, whose nodes give
+off 1 in that channel. It hides the light below it.
+
 Letters: n rows, R rays of each, p points, q radiosity nodes (the points first), M = h w light
 pixels in row-major order, F the lobes' light matrices; si is a Mitsuba surface interaction and wo
 an outgoing direction in its local frame.
@@ -42,6 +46,7 @@ from pipeline.render.observe import Observations
 from pipeline.render.principled_lobes import LOBES, PrincipledLobes
 from pipeline.render.rows import CONE, Rows
 from pipeline.render.shading_normals import shading_frames
+from pipeline.render.surroundings import Ground
 
 RAYS = 8  # of a row that is the mean over a patch
 HIGHLIGHT_SAMPLES = 64  # directions per row drawn from the highlight
@@ -52,6 +57,7 @@ FINEST_GRID = 32  # rows of the direction grid where the light itself is coarser
 LIFT = 1e-4  # of the mesh's extent: how far rays start off the surface
 LIGHT = -1  # what a ray meets, instead of a node's number: nothing, it leaves to the light
 BELOW = -2  # no ray at all: the direction lies below the horizon
+GROUND = -3  # the ground that the object stands on
 
 
 @dataclass
@@ -138,7 +144,7 @@ class Transport:
 
     scene: Mitsuba scene with the mesh; rows: from `choose_rows`; h: rows of the light; nodes:
     radiosity points added where no photo looks. `seed` fixes the jitter. normal_error: deviation of
-    the mesh's normals from the object's per axis, radians.
+    the mesh's normals from the object's per axis, radians. ground: what the object stands on.
     """
 
     def __init__(
@@ -151,8 +157,10 @@ class Transport:
         nodes: int,
         seed: int,
         normal_error: float = 0.0,
+        ground: Ground | None = None,
     ):
         self.scene = scene
+        self.ground = ground
         self.rows = rows
         self.h = h
         self.rng = np.random.default_rng([7, seed])
@@ -229,7 +237,8 @@ class Transport:
 
     def _look_around(self) -> None:
         """What each node meets in every cell's direction, (q, cells) int32, and from it the light
-        (q, M) and the other nodes (q, q) that it sees, weighted by cosine and solid angle over pi.
+        (q, M) and the other nodes (q, q) that it sees, weighted by cosine and solid angle over pi;
+        and what the ground gives it that way (q, 3).
         """
         cosine = self.node_normal @ self.cell_direction.T
         nodes, cells = np.nonzero(cosine > 0)
@@ -247,9 +256,31 @@ class Transport:
             (weight[nodes, cells], (nodes, self.meets[nodes, cells])),
             (len(cosine), len(cosine)),
         )
+        if self.ground is not None:
+            self.ground_seen = self._look_at(self.ground)
+            self.ground_light = np.einsum("qc,qck->qk", weight.astype(np.float32), self.ground_seen)
+
+    def _look_at(self, ground: Ground) -> np.ndarray:
+        """Radiance (q, cells, 3) of the ground that every node sees in every cell's direction; 0
+        where it meets something else.
+        """
+        seen = np.zeros((*self.meets.shape, 3), np.float32)
+        for node, meets in enumerate(self.meets):
+            met = meets == GROUND
+            origin = np.broadcast_to(self.node_position[node], (met.sum(), 3))
+            seen[node, met] = ground.seen(origin, self.cell_direction[met])[1]
+        return seen
+
+    def with_ground(self, radiance: np.ndarray) -> np.ndarray:
+        """Exitant radiance of the nodes (q, 3) and of the ground's three columns: (q + 3, 3), or as
+        it is where there is no ground.
+        """
+        return radiance if self.ground is None else np.concatenate([radiance, np.eye(3)])
 
     def _trace(self, origin: np.ndarray, normal: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """What rays from a surface meet (k,): a radiosity node or LIGHT. All arguments (k, 3)."""
+        """What rays from a surface meet (k,): a radiosity node, GROUND or LIGHT. All arguments (k,
+        3).
+        """
         meets = np.full(len(direction), LIGHT)
         for k in range(0, len(direction), LANES):
             part = np.s_[k : k + LANES]
@@ -260,6 +291,10 @@ class Transport:
             hit = np.array(si.is_valid()).astype(bool)
             if hit.any():
                 meets[part][hit] = self.node_tree.query(np.array(si.p).T[hit])[1]
+        if self.ground is not None:
+            free = np.flatnonzero(meets == LIGHT)
+            met, _ = self.ground.seen(origin[free], direction[free])
+            meets[free[met]] = GROUND
         return meets
 
     def _interaction(self, rows: np.ndarray, rays: np.ndarray) -> Any:
@@ -272,25 +307,34 @@ class Transport:
 
     def at(self, roughness: float, seed: int) -> tuple[np.ndarray, list[sparse.csr_matrix]]:
         """Lobes at one roughness: light matrices F (4, n, M) float32 and a list of 4 sparse (n, q)
-        for light off the object.
+        for light off the object, or (n, q + 3) with the ground's columns.
         """
         lobes = PrincipledLobes(roughness)
         n = len(self.rows.point)
         F = np.empty((len(LOBES), n, 2 * self.h**2), np.float32)
         blocked = BlockedLight()
+        of_ground = np.zeros((len(LOBES), n, 3), np.float32)
 
         chunk = max(1, LANES // len(self.cell_direction))
         for k in range(0, n, chunk):
             rows = np.arange(k, min(k + chunk, n))
-            F[:, rows] = self._over_the_grid(lobes, rows, blocked)
-        self._add_highlights(lobes, F, blocked, seed)
-        return F, blocked.matrices((n, len(self.node_position)))
+            F[:, rows] = self._over_the_grid(lobes, rows, blocked, of_ground)
+        self._add_highlights(lobes, F, blocked, of_ground, seed)
+        matrices = blocked.matrices((n, len(self.node_position)))
+        if self.ground is not None:
+            matrices = [sparse.hstack(pair, "csr") for pair in zip(matrices, of_ground)]
+        return F, matrices
 
     def _over_the_grid(
-        self, lobes: PrincipledLobes, rows: np.ndarray, blocked: BlockedLight
+        self,
+        lobes: PrincipledLobes,
+        rows: np.ndarray,
+        blocked: BlockedLight,
+        of_ground: np.ndarray,
     ) -> np.ndarray:
         """Light matrices (4, rows, M) from the grid's directions, balance heuristic against the
-        highlight's; what the object hides goes to `blocked`.
+        highlight's; what the object hides goes to `blocked`, what the ground gives to `of_ground`
+        (4, n, 3), in place.
         """
         cells = len(self.cell_direction)
         # a lane for every row and cell; those below the horizon are zero and left out
@@ -310,10 +354,21 @@ class Transport:
         off_object = np.flatnonzero((meets >= 0) & (value[2] > 0))
         blocked.add(row[off_object], meets[off_object], value[:, off_object])
 
-        grid = np.zeros((len(LOBES), len(rows) * cells), np.float32)
-        grid[:, above] = np.where(meets == LIGHT, value, 0)
+        if self.ground is not None:
+            grid = self._on_grid(np.where(meets == GROUND, value, 0), above, len(rows))
+            given = grid.transpose(1, 0, 2) @ self.ground_seen[self.rows.point[rows]]
+            of_ground[:, rows] += given.transpose(1, 0, 2)
+        grid = self._on_grid(np.where(meets == LIGHT, value, 0), above, len(rows))
         lit = grid.reshape(-1, cells) @ self.to_light.astype(np.float32)
         return lit.reshape(len(LOBES), len(rows), -1)
+
+    def _on_grid(self, value: np.ndarray, above: np.ndarray, rows: int) -> np.ndarray:
+        """Values (4, k) of the lanes `above` (k,) of all rows and cells as (4, rows, cells), 0 in
+        the others.
+        """
+        grid = np.zeros((len(LOBES), rows * len(self.cell_direction)), np.float32)
+        grid[:, above] = value
+        return grid.reshape(len(LOBES), rows, -1)
 
     def _local_cells(self, rows: np.ndarray) -> np.ndarray:
         """The grid's directions in the frames of the rays that look at them, (3, rows x cells)."""
@@ -326,10 +381,15 @@ class Transport:
         return local.reshape(3, -1)
 
     def _add_highlights(
-        self, lobes: PrincipledLobes, F: np.ndarray, blocked: BlockedLight, seed: int
+        self,
+        lobes: PrincipledLobes,
+        F: np.ndarray,
+        blocked: BlockedLight,
+        of_ground: np.ndarray,
+        seed: int,
     ) -> None:
         """Add the highlight's own directions to F (in place), balance heuristic against the grid's;
-        what the object hides goes to `blocked`.
+        what the object hides goes to `blocked`, what the ground gives to `of_ground` (4, n, 3).
         """
         row = np.repeat(np.arange(len(self.rows.point)), HIGHLIGHT_SAMPLES)
         ray = np.arange(len(row)) % self.frame.shape[1]
@@ -357,6 +417,12 @@ class Transport:
 
         off_object = np.flatnonzero(meets >= 0)
         blocked.add(row[off_object], meets[off_object], value[:, off_object])
+        if self.ground is not None:
+            met = np.flatnonzero(meets == GROUND)
+            start = self.ray_position[row[met], ray[met]]
+            radiance = self.ground.seen(start, direction[met])[1]
+            for lobe in range(len(LOBES)):
+                np.add.at(of_ground[lobe], row[met], value[lobe, met, None] * radiance)
 
     def _solid_angle_around(self, direction: np.ndarray) -> np.ndarray:
         """Solid angle (k,) of the grid's cell that each direction (k, 3) falls into."""
@@ -365,13 +431,16 @@ class Transport:
         return self.cell_solid_angle.reshape(self.grid_rows, -1)[cell_row, 0]
 
     def exitant(self, light: np.ndarray, albedo: np.ndarray, bounces: int) -> np.ndarray:
-        """Radiance (q, 3) that the nodes give off under `light` (M, 3), for diffuse albedo (p, 3)
-        of the points.
+        """Radiance (q, 3) that the nodes give off under `light` (M, 3) and the ground, for diffuse
+        albedo (p, 3) of the points.
 
         bounces: how many reflections the light has behind it at most, the node's own included.
         """
         node_albedo = albedo[self.node_point]
-        once_reflected = node_albedo * (self.sees @ light.astype(np.float32))
+        irradiance = self.sees @ light.astype(np.float32)
+        if self.ground is not None:
+            irradiance = irradiance + self.ground_light
+        once_reflected = node_albedo * irradiance
 
         radiance = once_reflected
         for _ in range(bounces - 1):

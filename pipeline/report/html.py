@@ -10,6 +10,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pipeline.base.config import Scene
+from pipeline.report.choices import choices
 
 
 def data_address(picture: bytes) -> str:
@@ -71,11 +72,14 @@ def page(
     samples: list[dict],
     view: str,
     held: bool,
+    trust: list[str],
+    enough: str,
 ) -> str:
     """The whole page as one string.
 
     facts: stage -> its metrics; pictures, samples: encoded pictures of `pictures.Painter`; view:
-    name of the photo that is shown; held: whether no fit has seen it.
+    name of the photo that is shown; held: whether no fit has seen it; trust: sentences on how far
+    the asset may be relied on; enough: whether there are samples enough, empty for one.
     """
     environment = Environment(
         loader=PackageLoader("pipeline.report", ""), autoescape=True, undefined=StrictUndefined
@@ -86,8 +90,11 @@ def page(
         facts=facts,
         summary=summary(scene, facts),
         warnings=warnings(facts),
+        choices=choices(facts),
+        enough=enough,
         pictures=pictures,
         samples=samples,
+        trust=trust,
         view=view,
         kind="held out: no fit has seen it" if held else "used in the fit",
     )

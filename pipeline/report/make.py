@@ -4,16 +4,19 @@ is not, timings.
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 from pipeline.base.config import Scene
 from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
 from pipeline.render.renderer import Explanation
+from pipeline.report.draws import samples_needed, samples_words
 from pipeline.report.html import page
 from pipeline.report.pictures import Painter, contact_sheet, normal_map
+from pipeline.report.trust import evidence, in_words, load_model, probability
 
-STAGES = ("capture", "poses", "masks", "mesh", "atlas", "observe", "fit")
+STAGES = ("capture", "poses", "masks", "mesh", "atlas", "observe", "choose", "fit")
 
 
 def stage_facts(work: Path, samples: int) -> dict[str, dict]:
@@ -46,7 +49,18 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
         "photo": painter.photo_jpeg(),
         "spread": painter.spread(explanations),
     }
-    html = page(usd, scene, facts, pictures, samples, view.name, view.name in held)
+    held_out = [f["held_out_psnr"] for stage, f in facts.items() if stage.startswith("refine")]
+    scores = [score for score in held_out if score is not None]
+    found = evidence(work, rig, explanations, scene, scores)
+    model = load_model()
+    trust = in_words(found, model)
+    needed = samples_needed(explanations)
+    enough = samples_words(needed, scene.samples) if needed else ""
+    html = page(usd, scene, facts, pictures, samples, view.name, view.name in held, trust, enough)
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
-    return {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": scene.samples}
+    metrics = {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": scene.samples}
+    metrics |= needed
+    if found is None:
+        return metrics | {"trust": None}
+    return metrics | {"trust": asdict(found) | {"chance_of_failure": probability(found, model)}}

@@ -16,6 +16,7 @@ from pipeline.geometry.normal_maps import normal_map_of, read_normal_map
 from pipeline.render.envmap import directions, mean_radiance, resample_area
 from pipeline.render.metrics import psnr, render_pixels, render_twice
 from pipeline.render.renderer import Explanation, Renderer
+from pipeline.render.surroundings import Ground, Surroundings
 
 HEAT = cv2.COLORMAP_INFERNO
 
@@ -93,6 +94,8 @@ class Painter:
         self.shown = np.zeros_like(self.mask)
         self.shown[self.box] = True
         self.renderers: dict = {}
+        with np.load(work / "observe" / "observations.npz") as arrays:
+            self.ground = Surroundings.of(arrays).ground
 
     def _crop(self) -> tuple[slice, slice]:
         """The part of the picture that holds the object, with a margin."""
@@ -104,13 +107,15 @@ class Painter:
             max(columns.min() - margin, 0) : columns.max() + margin,
         ]
 
-    def renderer(self, x: Explanation) -> Renderer:
-        """The renderer for textures and lights of the size that `x` has."""
+    def renderer(self, x: Explanation, ground: Ground | None = None) -> Renderer:
+        """The renderer for textures and lights of the size that `x` has, on the ground or alone."""
         sizes = (x.base_color.shape[0], x.light.shape[0])
-        if sizes not in self.renderers:
+        key = (*sizes, ground is not None)
+        if key not in self.renderers:
             mesh = self.work / "atlas" / "mesh_uv.ply"
-            self.renderers[sizes] = Renderer(mesh, *sizes, self.scene.render.max_depth)
-        return self.renderers[sizes]
+            depth = self.scene.render.max_depth
+            self.renderers[key] = Renderer(mesh, *sizes, depth, ground)
+        return self.renderers[key]
 
     def photo_jpeg(self) -> bytes:
         """The photo, cropped to the object."""
@@ -119,7 +124,7 @@ class Painter:
     def sample(self, x: Explanation) -> dict:
         """All pictures of one sample as bytes, and its PSNR in this view."""
         spp = self.scene.report.spp
-        halves = render_twice(self.renderer(x), x, self.view, self.shown, spp)
+        halves = render_twice(self.renderer(x, self.ground), x, self.view, self.shown, spp)
         picture = halves.mean(0)
         error = np.abs(linear_to_srgb(picture) - linear_to_srgb(self.photo)).mean(-1) * self.mask
 

@@ -5,6 +5,9 @@ plain errors.
 from __future__ import annotations
 
 import argparse
+import errno
+import os
+import re
 import resource
 import time
 from collections.abc import Callable
@@ -14,7 +17,7 @@ from pathlib import Path
 import yaml
 
 from pipeline.base import runtime
-from pipeline.base.config import Scene, load_scene
+from pipeline.base.config import NOT_YAML, Scene, load_scene
 from pipeline.base.errors import InputError, run_stage
 
 
@@ -31,8 +34,24 @@ def overrides(settings: list[str]) -> dict:
         place = out
         for section in sections:
             place = place.setdefault(section, {})
-        place[last] = yaml.safe_load(value)
+            if not isinstance(place, dict):
+                raise InputError(
+                    f"'{item}': {section} has a value already", "--set", "give it one value only"
+                )
+        try:
+            place[last] = yaml.safe_load(value)
+        except NOT_YAML as error:
+            raise InputError(
+                f"'{item}' is not valid YAML ({error})", "--set", "quote or correct the value"
+            ) from error
     return out
+
+
+def _threads(text: str) -> int:
+    """A number of threads for argparse. Raises InputError below 1."""
+    if not text.isdecimal() or int(text) < 1:
+        raise InputError(f"'{text}' is no number of threads", "--threads", "give 1 or more")
+    return int(text)
 
 
 # What `load_problem` (posterior/load.py) reads: the folders of fit, sample and refine.
@@ -42,6 +61,10 @@ PROBLEM_FOLDERS = {
     "atlas": "folder of the atlas stage",
     "mesh": "folder of the mesh stage (its surface's facts, its final masks)",
 }
+
+
+# The chosen settings, which those stages and the report take in place of the configured ones.
+CHOSEN_FOLDER = {"choose": "folder of the choose stage (the settings that it has chosen)"}
 
 
 class Stage:
@@ -75,6 +98,37 @@ class Stage:
         }
 
 
+# what a disk may refuse, in words, and what helps
+DISK = {
+    errno.ENOSPC: ("the disk is full", "free some space and run again; finished stages are kept"),
+    errno.EDQUOT: ("the disk's quota is used up", "free some space and run again"),
+    errno.EROFS: ("the disk can only be read", "choose a folder you may write to"),
+    errno.EIO: ("the disk does not answer", "copy the photos to another disk"),
+}
+
+
+# numpy's words where a disk takes less than it is given; its error has no number
+CUT_SHORT = re.compile(r"^\d+ requested and \d+ written$")
+
+
+def of_the_disk(error: OSError | RuntimeError, out: Path) -> Exception:
+    """An InputError for what the disk refuses; any other error as it is. OpenEXR has the system's
+    words for it in the text of a RuntimeError.
+    """
+    place = None
+    if CUT_SHORT.match(str(error)):
+        number: int | None = errno.ENOSPC
+    elif isinstance(error, OSError):
+        number, place = error.errno, error.filename
+    else:
+        number = next((n for n in DISK if os.strerror(n) in str(error)), None)
+    if number not in DISK:
+        return error
+
+    what, cure = DISK[number]
+    return InputError(what, place or out, cure)
+
+
 def stage(
     doc: str | None,
     inputs: dict[str, str],
@@ -105,11 +159,14 @@ def stage(
             type=Path,
             help="folder (or file) to write; replaced when complete",
         )
-        parser.add_argument("--threads", type=int, default=2)
+        parser.add_argument("--threads", type=_threads, default=2)
         if extra:
             extra(parser)
         parsed = Stage(parser)
         runtime.set_threads(parsed.args.threads)
-        work(parsed)
+        try:
+            work(parsed)
+        except (OSError, RuntimeError) as error:
+            raise of_the_disk(error, parsed.out) from error
 
     run_stage(main)

@@ -9,40 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.config import Mesh as MeshSettings
-from pipeline.base.errors import InputError
 from pipeline.base.files import json_entry, read_json
 from pipeline.base.images import linear_to_srgb, luminance, read_exr, read_png, write_png
 from pipeline.geometry.cameras import Rig, load_cameras
-from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh
+from pipeline.geometry.mesh_io import Mesh, normal_wobble, save_mesh
 from pipeline.surface.bake import DENSE
 from pipeline.surface.clean import facts, simplify, to_mesh
 from pipeline.surface.depth import neighbours
 from pipeline.surface.facts import SurfaceFacts
 from pipeline.surface.fusion import build_field, silhouettes_of
+from pipeline.surface.given import given_mesh
 from pipeline.surface.photometric import Refinement, refine_mesh
 from pipeline.surface.preview import Silhouette, shaded
 
 NEIGHBOURS = 4  # photos that refinement compares each photo with
-
-
-def given_mesh(scene: Path, rig: Rig) -> Mesh | None:
-    """The scene's own mesh in the library frame, or None."""
-    path = next((scene / n for n in ("mesh.ply", "mesh.obj") if (scene / n).exists()), None)
-    if path is None:
-        return None
-    if rig.source == "sfm":
-        raise InputError(
-            "a mesh is given, but no cameras: the two cannot be brought together",
-            path,
-            "add transforms.json or sparse/0 in the mesh's frame, or remove the mesh",
-        )
-
-    mesh = load_mesh(path)
-    world = np.array(rig.facts["world"])
-    linear = world[:3, :3]
-    turn = linear / np.cbrt(np.linalg.det(linear))
-    vertices = mesh.vertices @ linear.T + world[:3, 3]
-    return Mesh(vertices, mesh.faces, mesh.normals @ turn.T, mesh.uv)
 
 
 def grey_photos(rig: Rig, poses: Path) -> list[np.ndarray]:

@@ -12,62 +12,28 @@ import contextlib
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdUtils, Vt
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdUtils, Vt
 
 from pipeline import __version__
+from pipeline.base import manifest
 from pipeline.base.errors import InputError
-from pipeline.base.images import linear_to_srgb, write_exr, write_png
+from pipeline.base.files import room_beside, writable_parent
+from pipeline.base.locks import alone
 from pipeline.geometry.mesh_io import Mesh, load_mesh
 from pipeline.geometry.normal_maps import normal_map_of
 from pipeline.render.renderer import Explanation
 from pipeline.usd.check import check
+from pipeline.usd.material import define_material
+from pipeline.usd.textures import Asset, write_textures
 
-Kinds = Sdf.ValueTypeNames
 GAUGE = (
     "light scale and base colour trade off: (s L, a / s) explains diffuse photos equally well. "
     "The fit starts with a median base colour of 0.35; specular light and interreflection move it "
     "from there."
 )
-
-
-# UsdUVTexture's output is scale x value + bias: from [0, 1] back to a normal
-NORMAL_SCALE = Gf.Vec4f(2, 2, 2, 1)
-NORMAL_BIAS = Gf.Vec4f(-1, -1, -1, 0)
-
-
-@dataclass
-class Asset:
-    """File names of one sample's textures, relative to exports/. normal: all samples' one, or None
-    where the surface has no normal map.
-    """
-
-    base_color: str
-    roughness: str
-    metallic: str
-    light: str
-    normal: str | None = None
-
-
-def write_textures(x: Explanation, folder: Path, relative: str, normal: str | None = None) -> Asset:
-    """8-bit PNG maps (base colour sRGB, others raw) and a float EXR light; `normal`: the normal
-    map's file name, which all samples share.
-    """
-    folder.mkdir(parents=True)
-    write_png(folder / "base_color.png", np.round(linear_to_srgb(x.base_color) * 255))
-    for name in ("roughness", "metallic"):
-        write_png(folder / f"{name}.png", np.round(np.clip(getattr(x, name), 0, 1) * 255))
-    write_exr(folder / "light.exr", x.light)
-    return Asset(
-        f"{relative}/base_color.png",
-        f"{relative}/roughness.png",
-        f"{relative}/metallic.png",
-        f"{relative}/light.exr",
-        normal,
-    )
 
 
 def new_stage(path: Path, name: str, facts: dict) -> tuple[Usd.Stage, Usd.Prim]:
@@ -106,57 +72,6 @@ def define_mesh(stage: Usd.Stage, root: Usd.Prim, mesh: Mesh) -> UsdGeom.Mesh:
     return prim
 
 
-def define_material(
-    stage: Usd.Stage, root: Usd.Prim, mesh: UsdGeom.Mesh, normal_map: bool
-) -> dict[str, UsdShade.Shader]:
-    """UsdPreviewSurface (metallic workflow, ior 1.5) with a texture reader per map, which are
-    returned by name.
-    """
-    material = UsdShade.Material.Define(stage, root.GetPath().AppendChild("Material"))
-    path = material.GetPath()
-
-    reader = UsdShade.Shader.Define(stage, path.AppendChild("St"))
-    reader.CreateIdAttr("UsdPrimvarReader_float2")
-    reader.CreateInput("varname", Kinds.String).Set("st")
-    reader.CreateOutput("result", Kinds.Float2)
-
-    surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
-    surface.CreateIdAttr("UsdPreviewSurface")
-    surface.CreateInput("useSpecularWorkflow", Kinds.Int).Set(0)
-    surface.CreateInput("ior", Kinds.Float).Set(1.5)
-
-    textures = {}
-    slots = [
-        ("base_color", "diffuseColor", "sRGB", Kinds.Color3f, "rgb"),
-        ("roughness", "roughness", "raw", Kinds.Float, "r"),
-        ("metallic", "metallic", "raw", Kinds.Float, "r"),
-    ]
-    if normal_map:
-        slots.append(("normal", "normal", "raw", Kinds.Normal3f, "rgb"))
-    for name, slot, space, kind, output in slots:
-        title = "".join(word.title() for word in name.split("_"))
-        texture = UsdShade.Shader.Define(stage, path.AppendChild(title))
-        texture.CreateIdAttr("UsdUVTexture")
-        st = texture.CreateInput("st", Kinds.Float2)
-        st.ConnectToSource(reader.ConnectableAPI(), "result")
-        texture.CreateInput("sourceColorSpace", Kinds.Token).Set(space)
-        for wrap in ("wrapS", "wrapT"):
-            texture.CreateInput(wrap, Kinds.Token).Set("clamp")
-        texture.CreateOutput(output, Kinds.Float3 if output == "rgb" else Kinds.Float)
-        texture.CreateInput("file", Kinds.Asset)
-        surface.CreateInput(slot, kind).ConnectToSource(texture.ConnectableAPI(), output)
-        textures[name] = texture
-
-    if normal_map:
-        textures["normal"].CreateInput("scale", Kinds.Float4).Set(NORMAL_SCALE)
-        textures["normal"].CreateInput("bias", Kinds.Float4).Set(NORMAL_BIAS)
-
-    out = surface.CreateOutput("surface", Kinds.Token)
-    material.CreateSurfaceOutput().ConnectToSource(out.GetAttr().GetPath())
-    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
-    return textures
-
-
 def define_light(stage: Usd.Stage, root: Usd.Prim) -> UsdLux.DomeLight:
     """A white lat-long dome of intensity 1 whose texture is set later."""
     light = UsdLux.DomeLight.Define(stage, root.GetPath().AppendChild("Light"))
@@ -168,18 +83,12 @@ def define_light(stage: Usd.Stage, root: Usd.Prim) -> UsdLux.DomeLight:
     return light
 
 
-def point_at(textures: dict, light: UsdLux.DomeLight, asset: Asset, prefix: str) -> None:
-    """Set every file of one sample at the current edit target."""
-    for name, texture in textures.items():
-        texture.GetInput("file").Set(Sdf.AssetPath(f"{prefix}{getattr(asset, name)}"))
-    light.GetTextureFileAttr().Set(Sdf.AssetPath(f"{prefix}{asset.light}"))
-
-
 def write_variants(path: Path, name: str, mesh: Mesh, assets: list[Asset], facts: dict) -> None:
-    """The main file: one variant per sample."""
+    """The main file: one variant per sample. All that differs between samples, which texture
+    readers there are too, is told inside of the variants: what is told outside would be stronger.
+    """
     stage, root = new_stage(path, name, facts)
-    prim = define_mesh(stage, root, mesh)
-    textures = define_material(stage, root, prim, assets[0].normal is not None)
+    material = define_material(stage, root, define_mesh(stage, root, mesh))
     light = define_light(stage, root)
 
     variants = root.GetVariantSets().AddVariantSet("sample")
@@ -187,20 +96,22 @@ def write_variants(path: Path, name: str, mesh: Mesh, assets: list[Asset], facts
         variants.AddVariant(f"sample_{k}")
         variants.SetVariantSelection(f"sample_{k}")
         with variants.GetVariantEditContext():
-            point_at(textures, light, asset, "./")
+            material.dress(asset, "./")
+            light.GetTextureFileAttr().Set(Sdf.AssetPath(f"./{asset.light}"))
     variants.SetVariantSelection("sample_0")
     stage.GetRootLayer().Save()
 
 
 def write_flat(path: Path, name: str, mesh: Mesh, asset: Asset, facts: dict) -> None:
-    """One sample without any composition, beside its folder of textures."""
+    """One sample without any composition, beside its folder of textures; `asset`: relative to the
+    file's folder.
+    """
     stage, root = new_stage(path, name, facts)
-    prim = define_mesh(stage, root, mesh)
-    textures = define_material(stage, root, prim, asset.normal is not None)
+    material = define_material(stage, root, define_mesh(stage, root, mesh))
     light = define_light(stage, root)
 
-    beside = Asset(*(path and path.split("/", 1)[1] for path in vars(asset).values()))
-    point_at(textures, light, beside, "./")
+    material.dress(asset, "./")
+    light.GetTextureFileAttr().Set(Sdf.AssetPath(f"./{asset.light}"))
     stage.GetRootLayer().Save()
 
 
@@ -209,20 +120,20 @@ def staging(out: Path) -> Iterator[Path]:
     """A folder beside `out` in which an export is built under its final names, so that it can be
     checked before it is seen.
     """
-    folder = out.with_name(f".partial-{out.stem}")
-    try:
-        shutil.rmtree(folder, ignore_errors=True)  # a killed run's leftover
-        try:
-            folder.mkdir(parents=True)
-        except OSError as error:
-            raise InputError(
-                f"the folder cannot be written to ({error.strerror})",
-                out.parent,
-                "chmod u+w it, or export elsewhere",
-            ) from error
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    _earlier_export(out.with_suffix(""))
+    writable_parent(out)
+    with alone(out), room_beside(out.with_suffix("")) as room:
+        yield room
+
+
+def _earlier_export(folder: Path) -> None:
+    """InputError for a folder that an export would replace though no export has made it."""
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / "sample_0.usda").exists():
+        raise InputError(
+            "the folder is not empty and holds no sample_0.usda: it is no earlier export",
+            folder,
+            "export under another name, or empty this folder yourself",
+        )
 
 
 def build(folder: Path, scene: str, surface: Path, samples: list[Path], facts: dict) -> None:
@@ -244,7 +155,8 @@ def build(folder: Path, scene: str, surface: Path, samples: list[Path], facts: d
         for k, s in enumerate(samples)
     ]
     for k, asset in enumerate(assets):
-        write_flat(inside / f"sample_{k}.usda", name, mesh, asset, facts | {"sample": k})
+        flat = inside / f"sample_{k}.usda"
+        write_flat(flat, name, mesh, asset.below(scene), facts | {"sample": k})
     write_variants(folder / f"{scene}.usda", name, mesh, assets, facts)
 
     files = [folder / f"{scene}.usda"] + [inside / f"sample_{k}.usda" for k in range(len(samples))]
@@ -275,7 +187,10 @@ def publish(folder: Path, out: Path) -> None:
     """Move a built export to its place; the .usda comes last, so that it never names files that are
     not there yet.
     """
-    shutil.rmtree(out.with_suffix(""), ignore_errors=True)
+    manifest.sync_all(folder)
+    _earlier_export(out.with_suffix(""))
+    if out.with_suffix("").exists():
+        os.replace(out.with_suffix(""), folder / ".old")  # one step: a kill leaves no half of it
     os.replace(folder / out.stem, out.with_suffix(""))
     packed = folder / f"{out.stem}.usdz"
     if packed.exists():
@@ -283,6 +198,7 @@ def publish(folder: Path, out: Path) -> None:
     else:  # an older package would show an older result
         out.with_suffix(".usdz").unlink(missing_ok=True)
     os.replace(folder / out.name, out)
+    manifest.sync(out.parent)
 
 
 def export(atlas: Path, samples: list[Path], out: Path, facts: dict) -> dict:

@@ -17,6 +17,8 @@ def test_preset_lies_under_the_scene(tmp_path):
         ({"photos": "x", "mesh": {"gird": 1}}, ["mesh.gird", "grid"]),
         ({"photos": "x", "samples": 0}, ["samples", "greater than or equal to 1"]),
         ({"photos": "x", "preset": "drfat"}, ["drfat", "draft"]),
+        ({"photos": "x", "preset": "é" * 200}, ["unknown preset"]),
+        ({"photos": "x", "preset": "../presets/draft"}, ["unknown preset", "draft"]),
         ({}, ["photos"]),
         ({"photos": "x", "fit": {"spp": 3}}, ["fit.spp", "multiple of 2"]),
     ],

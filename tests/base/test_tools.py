@@ -1,5 +1,10 @@
 """Small shared tools: whole files, progress, metrics, doctor."""
 
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
@@ -9,6 +14,8 @@ from pipeline.base.files import atomic_path, read_json, stage_folder, write_json
 from pipeline.base.progress import progress
 from pipeline.base.runtime import set_threads
 from pipeline.render.metrics import light_psnr, psnr
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_failing_write_leaves_the_old_file(tmp_path):
@@ -24,16 +31,119 @@ def test_a_failing_write_leaves_the_old_file(tmp_path):
 
 
 def test_a_failing_stage_leaves_the_old_folder(tmp_path):
-    with stage_folder(tmp_path / "s") as out:
+    with stage_folder(tmp_path / "s", "result") as out:
         (out / "result").write_text("old")
     with pytest.raises(RuntimeError):
-        with stage_folder(tmp_path / "s") as out:
+        with stage_folder(tmp_path / "s", "result") as out:
             (out / "result").write_text("new")
             raise RuntimeError
     assert (tmp_path / "s" / "result").read_text() == "old"
-    with stage_folder(tmp_path / "s") as out:
+    with stage_folder(tmp_path / "s", "result") as out:
         (out / "result").write_text("new")
     assert (tmp_path / "s" / "result").read_text() == "new" and len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.fixture
+def letters(tmp_path, monkeypatch):
+    """A folder of somebody's, below the working folder, and a link to it beside it."""
+    folder = tmp_path / "here" / "letters"
+    folder.mkdir(parents=True)
+    (folder / "to_my_mother.txt").write_text("Dear mother,")
+    (tmp_path / "here" / "link").symlink_to(folder)
+    monkeypatch.chdir(tmp_path / "here")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "out, fact",
+    [
+        ("letters", "holds no result"),
+        ("letters/to_my_mother.txt", "no folder"),
+        ("link", "no folder"),
+        (".", "the one that you are in"),
+        ("..", "the one that you are in"),
+        ("letters/../../here", "the one that you are in"),
+    ],
+)
+def test_nobodys_folder_is_replaced(letters, out, fact):
+    """Refused before any work, so that nothing is written and nothing is deleted."""
+    before = sorted(letters.parent.parent.rglob("*"))
+    with pytest.raises(InputError, match=fact):
+        with stage_folder(out, "result"):
+            pytest.fail("work has begun")
+    assert sorted(letters.parent.parent.rglob("*")) == before
+    assert (letters / "to_my_mother.txt").read_text() == "Dear mother,"
+
+
+def test_what_appears_during_the_work_is_not_deleted(tmp_path):
+    with pytest.raises(InputError, match="holds no result"):
+        with stage_folder(tmp_path / "s", "result") as out:
+            (out / "result").write_text("new")
+            (tmp_path / "s").mkdir()
+            (tmp_path / "s" / "letter").write_text("Dear mother,")
+    assert (tmp_path / "s" / "letter").read_text() == "Dear mother,"
+
+
+def test_an_empty_folder_is_filled(tmp_path):
+    (tmp_path / "s").mkdir()
+    with stage_folder(tmp_path / "s", "result") as out:
+        (out / "result").write_text("new")
+    assert (tmp_path / "s" / "result").read_text() == "new"
+
+
+def test_two_at_work_on_one_result_do_not_mix(tmp_path):
+    """The second is refused as long as the first is at work, and harms nothing of it."""
+    with stage_folder(tmp_path / "s", "result") as out:
+        (out / "result").write_text("first")
+        with pytest.raises(InputError, match="another process is making this result"):
+            with stage_folder(tmp_path / "s", "result"):
+                pytest.fail("work has begun")
+    assert (tmp_path / "s" / "result").read_text() == "first"
+    with stage_folder(tmp_path / "s", "result") as out:
+        (out / "result").write_text("second")
+    assert (tmp_path / "s" / "result").read_text() == "second"
+    assert [p.name for p in tmp_path.iterdir()] == ["s"]
+
+
+def test_what_a_killed_run_left_behind_is_not_in_the_result(tmp_path):
+    (tmp_path / ".partial-s" / "images").mkdir(parents=True)
+    (tmp_path / ".partial-s" / "images" / "old").write_text("old")
+    (tmp_path / ".partial-s" / "old").write_text("old")
+    with stage_folder(tmp_path / "s", "result") as out:
+        (out / "result").write_text("new")
+    assert {p.name for p in (tmp_path / "s").rglob("*")} == {"result", ".files.json"}
+
+
+KILLED_WHILE_REMOVING = """
+import os, shutil, sys
+from pathlib import Path
+from pipeline.base.files import stage_folder
+
+def remove(folder, ignore_errors=False):
+    for file in Path(folder).rglob("result"):
+        file.unlink()
+        os.kill(os.getpid(), 9)
+
+with stage_folder(sys.argv[1], "result") as out:
+    (out / "result").write_text("new")
+    (out / "other").write_text("new")
+    shutil.rmtree = remove
+"""
+
+
+def test_a_kill_while_the_old_result_is_removed_leaves_the_new_one_whole(tmp_path):
+    """Half of an old result, without its mark, would be nobody's, and refused for ever."""
+    with stage_folder(tmp_path / "s", "result") as out:
+        (out / "result").write_text("old")
+        (out / "other").write_text("old")
+    words = [sys.executable, "-c", KILLED_WHILE_REMOVING, tmp_path / "s"]
+    assert subprocess.run(words, cwd=ROOT, check=False).returncode == -signal.SIGKILL
+
+    assert {p.read_text() for p in (tmp_path / "s").glob("[!.]*")} == {"new"}
+    with stage_folder(tmp_path / "s", "result") as out:
+        (out / "result").write_text("newest")
+    assert (tmp_path / "s" / "result").read_text() == "newest"
+    assert [p.name for p in tmp_path.iterdir()] == ["s"]
 
 
 def test_missing_and_broken_json_are_named(tmp_path):

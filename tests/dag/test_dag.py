@@ -18,13 +18,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.base.images import to_srgb8
+from pipeline.base.images import read_exr, to_srgb8
 from pipeline.geometry.cameras import Y_FROM_Z_UP, View
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh
 from pipeline.prior.training.procedural import outdoor
 from pipeline.prior.value_code import scale_of
 from pipeline.render.metrics import render_view
 from pipeline.render.renderer import Explanation, Renderer
+from pipeline.run.workflow import WAITS
 from pipeline.usd.check import check
 from tests.conftest import look_at
 
@@ -41,10 +42,12 @@ sample: {{prior: prior.safetensors, search_prior: search.safetensors, light: 16,
 refine: {{steps: 4, pixels: 300, spp: 2, texture: 48}}
 report: {{relight_size: 48, spp: 4}}
 """
+CHOOSING = "choose: {enabled: true, texture: auto, bounces: auto, light: auto, maps: auto}\n"
 
 
 ODD = "it's $(touch hacked) b"
-CHAIN = {"capture", "poses", "masks", "mesh", "atlas", "observe", "fit", "sample", "refine"}
+CHAIN = {"capture", "poses", "masks", "mesh", "atlas", "observe"}
+CHAIN |= {"choose", "fit", "sample", "refine"}
 DRAWS = {"sample", "refine", "export", "report"}
 
 
@@ -87,8 +90,8 @@ def project(tmp_path_factory, ball) -> Path:
     (scene / "images").mkdir(parents=True)
     (scene / "masks").mkdir()
     (folder / "configs").mkdir()
-    for name, samples in (("toy", 2), (ODD, 1)):
-        text = TINY.format(photos=scene.name, samples=samples)
+    for name, samples, more in (("toy", 2, ""), (ODD, 1, CHOOSING)):
+        text = TINY.format(photos=scene.name, samples=samples) + more
         (folder / "configs" / f"{name}.yaml").write_text(text, encoding="utf-8")
     shutil.copy(ROOT / "weights" / "prior_tiny.safetensors", folder / "prior.safetensors")
     shutil.copy(ROOT / "weights" / "gaussian_tiny.safetensors", folder / "search.safetensors")
@@ -178,6 +181,27 @@ def test_two_scenes_of_one_content_have_one_result(project):
     ).read_bytes()
 
 
+def test_later_stages_take_what_was_chosen_and_only_where_asked(project):
+    """The ball hides nothing of its own sky, a given mesh has no normal error, and its photos are
+    of 48 pixels.
+    """
+    settings = lambda scene: json.loads((project / f"work/{scene}/choose/choose.json").read_text())
+    side = lambda scene, name: len(read_exr(project / f"work/{scene}/refine/0/{name}.exr"))
+    assert settings("toy")["settings"] == {}
+    assert side("toy", "base_color") == side("toy", "roughness") == 48
+
+    chosen = settings(ODD)["settings"]
+    assert chosen["render"] == {"max_depth": 2} and chosen["sample"] == {"light": 16}
+    assert chosen["refine"] == {"texture": 48, "gloss_texture": 16, "gloss": "tested"}
+    assert side(ODD, "base_color") == 48 and side(ODD, "roughness") == side(ODD, "metallic") == 16
+    gloss = lambda scene: json.loads((project / f"work/{scene}/refine/0/refine.json").read_text())
+    assert "gloss" not in gloss("toy")
+    for name in ("roughness", "metallic"):
+        image = read_exr(project / f"work/{ODD}/refine/0/{name}.exr")
+        found = gloss(ODD)["gloss"][name]
+        assert (np.ptp(image) < 1e-6) == (found["chosen"] != "map")
+
+
 def test_nothing_to_do_when_nothing_changed(project):
     """For all scenes: the first rule, `all`."""
     assert jobs(project) == set()
@@ -235,6 +259,8 @@ def test_one_option_reruns_only_what_depends_on_it(project):
     refine = jobs(project, "exports/toy.usda", "--config", "refine={steps: 5}")
     assert refine == {"refine", "export"}
     assert "sample" in jobs(project, "exports/toy.usda", "--config", "fit={steps: 7}")
+    depth = jobs(project, f"exports/{ODD}.usda", "--config", "render={max_depth: 4}")
+    assert depth == {"choose", "fit", "sample", "refine", "export"}
     assert "mesh" not in jobs(project, "exports/toy.usda", "--config", "observe={pixels: 2000}")
 
 
@@ -253,7 +279,7 @@ def test_sample_alone_equals_sample_among_others(project, tmp_path):
     work = project / "work" / "toy"
     folders = [
         word
-        for s in ("observe", "poses", "atlas", "mesh", "fit")
+        for s in ("observe", "poses", "atlas", "mesh", "choose", "fit")
         for word in (f"--{s}", str(work / s))
     ]
     done = subprocess.run(
@@ -290,9 +316,10 @@ def test_a_failed_stage_is_due_again(project):
     assert jobs(project, f"exports/{ODD}.usda", *more) == {"fit", "sample", "refine", "export"}
 
 
-def test_a_killed_run_continues(project):
-    """kill -9 of the whole process group in the middle of the fit, with the old result still in
-    place; the next run finishes the work. Meanwhile the scene was refused to a second run.
+def test_a_killed_run_continues(project, tmp_path):
+    """kill -9 of Snakemake alone in the middle of the fit, with the old result still in place: the
+    next run waits for the stage that was left behind, and when that is killed too, finishes the
+    work. Before, the scene was refused to a second run.
     """
     work, target = project / "work" / ODD, f"exports/{ODD}.usda"
     before = files_in(work / "fit")
@@ -303,24 +330,54 @@ def test_a_killed_run_continues(project):
         start_new_session=True,
         **surroundings(project),
     )
-    deadline = time.time() + 120
-    while not (work / ".partial-fit").exists() and time.time() < deadline:
-        time.sleep(0.2)
-    assert (work / ".partial-fit").exists()
+    wait_for(lambda: (work / ".partial-fit").exists())
 
     refused = snakemake(project, target)
     words = refused.stdout + refused.stderr
     assert refused.returncode != 0 and "another run is at work on this scene" in words
     assert "Traceback" not in words
+    assert "fit" in jobs(project, target, "--config", "fit={steps: 7}")  # a plan is none
+
+    os.kill(running.pid, signal.SIGKILL)
+    running.wait()
+    log = tmp_path / "next.log"
+    following = subprocess.Popen(
+        command(project, target, "--config", "fit={steps: 8}"),
+        stdout=log.open("w"),
+        stderr=subprocess.STDOUT,
+        **surroundings(project),
+    )
+    wait_for(lambda: WAITS in log.read_text())
+    assert files_in(work / "fit") == before and following.poll() is None
 
     os.killpg(running.pid, signal.SIGKILL)
-    running.wait()
-    assert files_in(work / "fit") == before
-    done = snakemake(project, target, "--config", "fit={steps: 8}")
-    assert done.returncode == 0, done.stderr[-3000:]
+    assert following.wait(timeout=120) == 0, log.read_text()[-3000:]
     assert check(project / target) == [] and not (work / ".partial-fit").exists()
     assert files_in(work / "fit") != before
     assert jobs(project, target, "--config", "fit={steps: 8}") == set()
+
+
+def wait_for(happened) -> None:
+    """Until `happened()`, two minutes at most."""
+    deadline = time.time() + 120
+    while not happened() and time.time() < deadline:
+        time.sleep(0.2)
+    assert happened()
+
+
+def test_a_file_that_has_lost_its_end_is_made_again(project):
+    """With its time kept, as after a power cut: nothing else tells."""
+    file, target = project / "work" / ODD / "refine/0/roughness.exr", f"exports/{ODD}.usda"
+    more = ("--config", "fit={steps: 8}")
+    whole, at = file.read_bytes(), file.stat().st_mtime_ns
+    os.truncate(file, len(whole) // 2)
+    os.utime(file, ns=(at, at))
+    assert jobs(project, target, *more) == {"refine", "export"}
+
+    done = snakemake(project, target, *more)
+    assert done.returncode == 0 and "refine_0 is made again" in done.stderr, done.stderr[-3000:]
+    assert len(file.read_bytes()) == len(whole)
+    assert jobs(project, target, *more) == set()
 
 
 @pytest.mark.parametrize("name", ["-rf", "a{b}"])
@@ -360,6 +417,7 @@ def test_every_stage_explains_itself():
         "mesh",
         "atlas",
         "observe",
+        "choose",
         "fit",
         "sample",
         "refine",

@@ -1,8 +1,9 @@
-"""A thousand iterations on a scene made to break them: black texels, grazing views, faces without
-area, a light that is black in places.
+"""A thousand iterations of every sampler and optimiser on a scene made to break them: black texels,
+grazing views, faces without area, a light that is black in places; and starts at the ends of what
+maps and lights may hold.
 
-`pytest -m heavy`, some ten minutes. Finite results, memory that stays, and no new kernels after the
-warm-up.
+`pytest -m heavy`, some ten minutes. Finite results, a data term that does not rise again, memory
+that stays, and no new kernels after the warm-up.
 """
 
 from __future__ import annotations
@@ -10,19 +11,23 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import drjit as dr
 import numpy as np
 import pytest
 
-from pipeline.base.config import Fit, Observe, Sample
+from pipeline.base.config import Fit, Observe, Refine, Sample
 from pipeline.base.images import write_exr, write_png
+from pipeline.base.progress import Bar
 from pipeline.base.runtime import set_threads
 from pipeline.geometry.cameras import Rig, View, save_cameras
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh
 from pipeline.posterior.fit import fit
 from pipeline.posterior.problem import Problem
+from pipeline.posterior.refine import refine, units
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.prior.load import load_prior
 from pipeline.render.metrics import render_view
@@ -33,8 +38,8 @@ from tests.conftest import look_at
 pytestmark = pytest.mark.heavy
 LONG = Sample(
     steps=1000,
-    pixels=200,
-    spp=2,
+    pixels=2000,
+    spp=4,
     texture=32,
     smooth=5,
     levels=990,
@@ -46,6 +51,12 @@ LONG = Sample(
     search_points=25,
     search_sweeps=1,
 )
+# factor of the data term: medians over a fifth of the steps differ by some hundredths between seeds
+LATE_RISE = 1.15
+# on this scene the data term of these does rise (docs/stability.md, "Endurance"): the published
+# samplers with their own rates and weights, and a light of nine harmonics
+RISES_LATE = ("dpi_paper", "dpi_code", "sds", "spherical_harmonics")
+NIGHT = 1e-4  # radiance: a fit of black photos begins at thrice that
 
 
 @pytest.fixture(scope="module")
@@ -110,23 +121,123 @@ class Memory(threading.Thread):
         return float(np.median(self.seen[-n // 5 :]) - np.median(self.seen[n // 5 : 2 * n // 5]))
 
 
-@pytest.mark.parametrize("name", ["split_gibbs", "dpi_paper"])
-def test_a_thousand_iterations_stay_finite_and_in_memory(hostile, name):
-    problem, start = hostile
+def assert_in_bounds(x: Explanation) -> None:
+    for field in ("light", "base_color", "roughness", "metallic"):
+        assert np.isfinite(getattr(x, field)).all(), field
+    assert x.light.min() >= 0
+    for field in ("base_color", "roughness", "metallic"):
+        assert getattr(x, field).min() >= 0 and getattr(x, field).max() <= 1, field
+
+
+def in_memory(run: Callable[[], Explanation], name: str) -> None:
+    """Run it on one thread: finite, and resident memory that stays."""
     set_threads(1)
     memory, began = Memory(), time.monotonic()
     memory.start()
-    x, facts = SAMPLERS[name](problem, load_prior("prior_small"), start, LONG, 0)
+    x = run()
     growth = memory.growth()
     set_threads(2)
-    for field in ("light", "base_color", "roughness", "metallic"):
-        assert np.isfinite(getattr(x, field)).all(), field
-    assert x.light.min() >= 0 and 0 <= x.base_color.min() and x.base_color.max() <= 1
+    assert_in_bounds(x)
     print(
         f"{name}: {time.monotonic() - began:.0f} s, memory grew by {growth:.1f} MB "
         f"at {memory.seen[-1]:.0f} MB"
     )
     assert growth < 30
+
+
+@pytest.fixture
+def losses(monkeypatch) -> list[float]:
+    """The data term at every gradient that is taken."""
+    seen = []
+    gradient = Problem.gradient
+
+    def noted(self, *arguments):
+        result = gradient(self, *arguments)
+        seen.append(result.loss)
+        return result
+
+    monkeypatch.setattr(Problem, "gradient", noted)
+    return seen
+
+
+def medians(losses: list[float]) -> list[float]:
+    """Of the data term in every fifth of the steps: a step's is that of a few pixels."""
+    fifths = [float(np.median(part)) for part in np.array_split(losses, 5)]
+    print("medians of the data term:", *(f"{m:.4f}" for m in fifths))
+    return fifths
+
+
+def assert_no_late_rise(losses: list[float]) -> None:
+    """The last fifth of the steps is no worse than the best fifth before."""
+    fifths = medians(losses)
+    assert fifths[-1] <= LATE_RISE * min(fifths[:-1])
+
+
+@pytest.mark.parametrize("name", sorted(set(SAMPLERS) - {"map", "gaussian"}))
+def test_a_thousand_iterations_stay_finite_and_in_memory(hostile, losses, name):
+    """`map` has no iterations, `gaussian` a fixed handful of sweeps."""
+    problem, start = hostile
+    prior = load_prior("prior_small")
+    in_memory(lambda: SAMPLERS[name](problem, prior, start, LONG, 0)[0], name)
+    if name != "split_gibbs":  # whose rows come from the operator, not from gradients
+        assert len(losses) >= 1000
+        fifths = medians(losses)
+        if name not in RISES_LATE:
+            assert fifths[-1] <= LATE_RISE * min(fifths[:-1])
+
+
+def test_a_thousand_steps_of_the_fit_and_of_the_refinement(hostile, losses):
+    problem, start = hostile
+    fitted = Fit(steps=1000, pixels=400, texture=32)
+    in_memory(lambda: fit(problem, fitted)[0], "fit")
+    assert_no_late_rise(losses)
+    losses.clear()
+    refined = Refine(steps=1000, pixels=400, spp=2, texture=32)
+    run = lambda: refine(problem, problem, start, refined, 0, Bar("refine", units(refined)))[0]
+    in_memory(run, "refine")
+    assert_no_late_rise(losses)
+
+
+def at_a_bound(start: Explanation, which: str) -> Explanation:
+    """The fit with one of its parts at the end of what it may hold."""
+    ends = {
+        "mirror": {"roughness": 0.0, "metallic": 1.0},
+        "chalk": {"roughness": 1.0, "metallic": 0.0},
+        "black": {"base_color": 0.0},
+        "white": {"base_color": 1.0},
+    }
+    if which in ends:
+        return replace(
+            start,
+            **{k: np.full_like(getattr(start, k), value) for k, value in ends[which].items()},
+        )
+    light = np.zeros_like(start.light)
+    if which == "lamp":
+        light[len(light) // 4, len(light) // 2] = 1e6
+    else:
+        light[:] = NIGHT
+    return replace(start, light=light)
+
+
+@pytest.mark.parametrize("name", sorted(SAMPLERS))
+@pytest.mark.parametrize("which", ["mirror", "chalk", "black", "white", "lamp", "night"])
+def test_samplers_begin_at_any_bound(hostile, which, name):
+    """Roughness and metallic at their bounds, black, white, one pixel of 1e6, next to no light."""
+    problem, start = hostile
+    short = LONG.model_copy(update={"steps": 12, "smooth": 2, "levels": 4, "stay": 1})
+    first = at_a_bound(start, which)
+    assert_in_bounds(SAMPLERS[name](problem, load_prior("prior_small"), first, short, 0)[0])
+
+
+@pytest.mark.parametrize("rate", [1e-9, 1.0])
+def test_the_ends_of_the_learning_rate(hostile, rate):
+    """Next to none moves nothing, and the greatest that may be configured stays finite."""
+    problem, start = hostile
+    settings = Fit(steps=60, pixels=400, texture=32, learning_rate=rate)
+    x = fit(problem, settings)[0]
+    assert_in_bounds(x)
+    if rate < 1:
+        assert np.ptp(x.light) <= 1e-4 * x.light.max() and np.ptp(x.roughness) <= 1e-4
 
 
 def test_no_new_kernels_after_the_warm_up(hostile):

@@ -1,4 +1,6 @@
 import json
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -115,6 +117,7 @@ def test_exposure_is_divided_out(scene, tmp_path):
         ),
         (lambda s: _mask(s, np.full((10, 10), 255, np.uint8)), "10x10"),
         (lambda s: _mask(s, np.zeros((24, 36), np.uint8)), "all black"),
+        (lambda s: _mask_of_trillions(s), "2000000x2000000, its photo"),
         (lambda s: Image.fromarray(PHOTO).save(s / "images" / "bild 1 ä.jpg"), "two photos"),
         (
             lambda s: (s / "transforms.json").write_text(
@@ -141,6 +144,16 @@ def _jpeg() -> bytes:
 def _mask(scene, mask):
     (scene / "masks").mkdir()
     Image.fromarray(mask).save(scene / "masks" / "bild 1 ä.png")
+
+
+def _mask_of_trillions(scene):
+    """Its head claims 2 000 000 pixels along both sides."""
+    _mask(scene, np.full((24, 36), 255, np.uint8))
+    file = scene / "masks" / "bild 1 ä.png"
+    data = bytearray(file.read_bytes())
+    data[16:24] = struct.pack(">II", 2_000_000, 2_000_000)
+    data[29:33] = struct.pack(">I", zlib.crc32(bytes(data[12:29])))
+    file.write_bytes(data)
 
 
 def test_hidden_and_mask_files_are_no_photos(scene):
@@ -300,7 +313,7 @@ def test_saturation_is_judged_before_scaling(scene, tmp_path):
         Image.fromarray(photo).save(scene / "images" / f"bild {k} ä.png")
     out, metrics, photos = run(scene, tmp_path, max_size=64)
     out_saturated = np.asarray(Image.open(out / "saturated" / "bild 1 ä.png")) > 0
-    assert np.argwhere(out_saturated).tolist() == [[4, 20], [25, 50]]
+    assert np.argwhere(out_saturated).tolist() == [[4, 20, 0], [4, 20, 1], [4, 20, 2], [25, 50, 2]]
     assert read_exr(out / "images" / "bild 1 ä.exr")[4, 20].max() < 0.4
     assert metrics["clipped_share"] == pytest.approx(2 / (48 * 64))
 

@@ -79,6 +79,15 @@ def test_heic_is_turned_once():
     np.testing.assert_allclose(photo.pixels[12::24, 16::32], PICTURE[12::24, 16::32], atol=3)
 
 
+def test_heic_that_asks_for_more_than_libheif_allows_is_named(tmp_path):
+    data = bytearray((DATA / "plain.heic").read_bytes())
+    extents = data.find(b"iloc") + 20  # of the first item
+    data[extents : extents + 2] = b"\x03\x04"
+    (tmp_path / "a.heic").write_bytes(data)
+    with pytest.raises(InputError, match="a.heic.*cannot be read.*limit"):
+        decode(tmp_path / "a.heic")
+
+
 def test_ten_bits_of_heic_are_kept():
     photo = decode(DATA / "ten_bit.heic")
     values = np.unique(photo.pixels[24, :, 1])

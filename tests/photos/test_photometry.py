@@ -90,7 +90,7 @@ def test_saturated_sightings_do_not_count(ring, tmp_path):
 
     view = replace(ring(6, 64)[0], saturated="saturated/v0.png")
     write_exr(tmp_path / view.image, np.full((64, 64, 3), 0.5))
-    left = np.zeros((64, 64), np.uint8)
+    left = np.zeros((64, 64, 3), np.uint8)
     left[:, :32] = 255
     write_png(tmp_path / "saturated" / "v0.png", left)
     xyz = np.random.default_rng(0).uniform(-0.3, 0.3, (100, 3))

@@ -342,6 +342,22 @@ def test_saturated_pixels_reach_the_poses(tmp_path, ring):
     _model(scene / "sparse" / "0", [f"{k}.png" for k in range(6)], ring)
     make_poses(capture, scene, out, Poses(), 2)
     view = load_cameras(out / "cameras.json").views[0]
-    assert np.argwhere(read_png(out / view.saturated)).tolist() == [[20, 30]]
+    assert np.argwhere(read_png(out / view.saturated)).tolist() == [[20, 30, 1]]
     photo = read_exr(out / view.image)
-    assert np.argwhere(saturated(out, view, 0.01 * photo)).tolist() == [[20, 30]]
+    assert np.argwhere(saturated(out, view, 0.01 * photo)).tolist() == [[20, 30, 1]]
+
+
+def test_a_list_longer_than_its_file_is_refused_before_it_is_read(tmp_path):
+    from benchmarks.corpus.models import write_binary
+    from benchmarks.corpus.project import Project
+    from pipeline.photos.colmap_model import read_model
+
+    project = Project(tmp_path / "p")
+    project.make()
+    folder = write_binary(project)
+    assert read_model(folder).num_images() > 0
+    good = (folder / "images.bin").read_bytes()
+    counted = good.find(b"p0.png\0") + len(b"p0.png\0")  # of the first image's keypoints
+    (folder / "images.bin").write_bytes(good[:counted] + b"\xff\xff\xff\x0f" + good[counted + 4 :])
+    with pytest.raises(InputError, match=r"images\.bin is damaged"):
+        read_model(folder)

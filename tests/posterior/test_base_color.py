@@ -9,6 +9,7 @@ from pipeline.posterior.base_color import (
     CHOICES,
     ColorSolver,
     TexelSums,
+    brighter_light,
     coarse_to_fine,
     color_map,
     error_weight,
@@ -16,7 +17,7 @@ from pipeline.posterior.base_color import (
 )
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import SHADE
-from pipeline.posterior.refine import ROUGHNESS_FACTOR, stay_near
+from pipeline.posterior.refine import ROUGHNESS_FACTOR, as_the_mesh_shows, stay_near
 from pipeline.posterior.shading import Shading
 from pipeline.posterior.textures import bilinear_matrix, gather, splat
 from pipeline.render.renderer import Explanation
@@ -39,7 +40,7 @@ def pixels_of(truth: np.ndarray, count: int, misplaced: float = 0.0) -> tuple:
         view=view,
         cosine=rng.uniform(0.4, 1, count).astype(np.float32),
         rgb=(gather(truth, uv + off) * shading.scaled + shading.rest).astype(np.float32),
-        clipped=np.zeros(count, bool),
+        clipped=np.zeros((count, 3), bool),
     )
     return observations, shading
 
@@ -114,7 +115,7 @@ def test_views_that_contradict_the_others_are_forgotten(truth):
 def test_saturated_pixels_do_not_pull_the_colour_down():
     truth = np.full((SIZE, SIZE, 3), 0.5, np.float32)
     observations, shading = pixels_of(truth, 40000)
-    observations.clipped = observations.rgb.max(1) > 0.6
+    observations.clipped = observations.rgb > 0.6
     observations.rgb = np.minimum(observations.rgb, 0.6)
     assert observations.clipped.mean() > 0.5
     color, facts = color_map(observations, shading, truth)
@@ -124,6 +125,25 @@ def test_saturated_pixels_do_not_pull_the_colour_down():
     observations.clipped[:] = False
     color, _ = color_map(observations, shading, truth)
     assert color[6:-6, 6:-6].mean() < 0.45
+
+
+def test_channels_that_are_not_saturated_say_all_they_know():
+    """Yellow, red saturated nearly everywhere: green and blue are right from a bright start."""
+    truth = np.full((SIZE, SIZE, 3), [0.9, 0.5, 0.1], np.float32)
+    observations, shading = pixels_of(truth, 40000)
+    observations.clipped = observations.rgb > [0.5, 9, 9]
+    observations.rgb = np.minimum(observations.rgb, [0.5, 9, 9]).astype(np.float32)
+    color, _ = color_map(observations, shading, np.full_like(truth, 0.98))
+    assert np.abs(color - truth)[6:-6, 6:-6, 1:].max() < 0.01
+
+
+@pytest.mark.parametrize("times, found", [(1.0, 1.0), (1.75, 1.75)])
+def test_light_is_as_bright_as_colours_below_one_need(truth, times, found):
+    """A light that is `times` too dim needs colours up to 1.6: it is raised; a right one stays."""
+    observations, shading = pixels_of(np.clip(1.15 * truth, 0, 0.92), 40_000)
+    dim = Shading(shading.scaled / times, shading.rest / times)
+    begin = np.full((SIZE, SIZE, 3), 0.4, np.float32)
+    assert brighter_light(observations, dim, begin) == found
 
 
 def test_gloss_stays_near_the_draw():
@@ -166,3 +186,15 @@ def test_shading_of_a_dielectric_is_shared_between_photos_and_of_a_metal_is_not(
     assert error(shared.scaled) < 0.35 * error(noisy)
     assert np.allclose(shared.scaled[metal], noisy[metal], rtol=1e-5)
     assert (shared.rest == shading.rest).all()
+
+
+def test_refinement_begins_with_what_the_mesh_shows():
+    """On the true surface a draw's gloss stays; normals off by .1 per axis make a sharp lobe one of
+    alpha^2 = .1^4 + 2 .01.
+    """
+    shape = (4, 4)
+    ones = np.ones(shape, np.float32)
+    draw = Explanation(np.ones((4, 8, 3)), np.ones((*shape, 3)), 0.1 * ones, 0 * ones)
+    assert np.allclose(as_the_mesh_shows(draw, 0.0).roughness, 0.1)
+    shown = as_the_mesh_shows(draw, 0.1 * np.sqrt(2 * np.log(2))).roughness
+    assert np.allclose(shown**4, 0.1**4 + 2 * 0.1**2, rtol=1e-3)

@@ -100,7 +100,7 @@ def test_highlights_do_not_stay_in_the_base_colour(problem):
         ],
         axis=0,
     )
-    observations.clipped = np.zeros(len(observations), bool)
+    observations.clipped = np.zeros((len(observations), 3), bool)
     assert observations.rgb.max() > 0.5
 
     glossy = copy(problem)

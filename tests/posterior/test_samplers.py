@@ -3,6 +3,7 @@ alone.
 """
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ import torch
 
 from pipeline.base.config import Sample
 from pipeline.posterior.samplers import SAMPLERS
-from pipeline.posterior.split_gibbs.likelihood import RowLikelihood
+from pipeline.posterior.split_gibbs import sampler
+from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.sampler import begun, gaussian_sweeps
 from pipeline.posterior.split_gibbs.setup import set_up
 from pipeline.posterior.split_gibbs.state import Randomness
+from pipeline.posterior.split_gibbs.thinning import explained
 from pipeline.prior.load import load_prior
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -72,12 +75,49 @@ def test_kernels_change_no_state_they_are_given(problem, start):
             again = Randomness(numbers, torch.Generator())
             again.torch.set_state(noise)
             glossy = state.materials.made_of(0, 1.0)
-            ends.append(begun(again, model, state, glossy, model.gaussian.flat_mean)[1])
+            first = begun(again, model, state, glossy, model.gaussian.flat_mean)
+            ends.append(gaussian_sweeps(again, model, first, 2))
 
     assert fingerprint(ends[0]) == fingerprint(ends[1]) != before
     assert fingerprint(state) == before
     assert RowLikelihood.of(model.mixer, state).value(light) == value
     assert RowLikelihood.of(model.mixer, ends[0]).value(light) != value
+
+
+def test_starts_left_far_behind_take_no_further_sweeps(monkeypatch):
+    """Two starts whose odds are known: the one that is behind is swept only while it is near."""
+    swept = []
+    monkeypatch.setattr(sampler, "log_odds", lambda rng, model, state: state[0])
+    sweep = lambda rng, model, state, count: swept.append(state[1]) or (state[0] + 1.0, state[1])
+    monkeypatch.setattr(sampler, "gaussian_sweeps", sweep)
+    rng = Randomness(np.random.default_rng(0), torch.Generator())
+
+    for gap, of_second in ((0.5, ["second"]), (1.5, [])):
+        swept.clear()
+        states = [(0.0, "first"), (-gap * sampler.BEHIND, "second")]
+        assert sampler.best_after_sweeps(rng, None, states)[1] == "first"
+        assert swept == ["first"] + of_second
+
+
+def test_starts_are_judged_by_photos_that_they_were_not_told_of(problem, start):
+    """Rows of the photos that are kept have no say in materials, light and noise, and all of it in
+    the odds.
+    """
+    with torch.no_grad():
+        rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)
+        some = model.without_some_photos(np.random.default_rng(1))
+        told = some.data.told
+        assert set(some.view[told]).isdisjoint(some.view[~told]) and 0 < told.mean() < 1
+
+        observed = model.data.observed * np.where(told, 1.0, 3.0)[:, None]
+        other = replace(some, data=replace(some.data, observed=observed))
+        other = replace(other, mixer=Mixer(other.data))
+        fresh = lambda: Randomness(np.random.default_rng(2), torch.Generator().manual_seed(2))
+        ends = [gaussian_sweeps(fresh(), m, state, 1) for m in (some, other, model)]
+        assert fingerprint(ends[0]) == fingerprint(ends[1]) != fingerprint(ends[2])
+
+        odds = [explained(fresh(), m, ends[0]) for m in (some, other, model)]
+        assert odds[1] < odds[0] - 10 and odds[2] != odds[0]
 
 
 def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):

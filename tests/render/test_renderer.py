@@ -141,3 +141,9 @@ def test_camera_and_texture_orientation(ball, ring):
     clear = hit & (np.abs(uv[:, 1] - 0.5) > 0.06)  # off the border between the colours
     red = picture[rows, columns, 0] > 2 * picture[rows, columns, 1]
     assert clear.sum() > 200 and (red == (uv[:, 1] > 0.5))[clear].mean() > 0.93
+
+
+def test_no_rays_meet_nothing(ball):
+    """A photo that does not show the object has none; Dr.Jit ended the process over them."""
+    uv, cosine, hit = Tracer(ball / "mesh_uv.ply").hit(np.zeros((0, 3)), np.zeros((0, 3)))
+    assert uv.shape == (0, 2) and cosine.shape == (0,) and hit.shape == (0,)

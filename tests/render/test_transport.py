@@ -58,7 +58,7 @@ def seen(mesh, radius, height, folder) -> Observations:
         folder / "observations.npz",
         **table,
         rgb=np.zeros((n, 3), np.float32),
-        clipped=np.zeros(n, bool),
+        clipped=np.zeros((n, 3), bool),
         uv=np.zeros((n, 2), np.float32),
         views=np.array([v.name for v in views]),
         held_out=np.array([], str),
@@ -209,6 +209,7 @@ def test_light_between_parts_adds_up():
     form.
     """
     t = object.__new__(Transport)
+    t.ground = None
     t.node_point, t.sees = np.array([0, 1]), np.array([[0.5], [0.5]])
     t.between = np.array([[0.0, 0.5], [0.5, 0.0]])
     B = t.exitant(np.ones((1, 3)), np.full((2, 3), 0.6), 60)

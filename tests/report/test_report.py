@@ -16,11 +16,12 @@ from PIL import Image
 from pipeline.base.config import Scene
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json, write_json
-from pipeline.base.images import to_srgb8, write_exr, write_png
+from pipeline.base.images import linear_to_srgb, srgb_to_linear, to_srgb8, write_exr, write_png
 from pipeline.geometry.cameras import Rig, save_cameras
 from pipeline.geometry.mesh_io import load_mesh
 from pipeline.render.metrics import render_view
 from pipeline.render.renderer import Renderer
+from pipeline.report.draws import samples_needed
 from pipeline.report.make import make_report
 from pipeline.report.pictures import Painter, evening_light, heat
 from tests.render.test_renderer import explanation
@@ -33,6 +34,7 @@ FACTS = {
     "masks": {},
     "mesh": {"method": "hull", "why": "stereo found too little", "mask_share_without_surface": 0.0},
     "observe": {"held_out": ["v1"]},
+    "choose": {"decisions": {"texture": {"why": "choose.enabled is false"}}},
     "fit": {"warnings": ["the fit stopped early"]},
 }
 
@@ -59,6 +61,7 @@ def work(tmp_path, ball, ring) -> Path:
         (work / "atlas" / f.name).symlink_to(f)
     for stage, facts in FACTS.items():
         write_json(work / stage / f"{stage}.json", facts | {"seconds": 1.5, "peak_gib": 0.25})
+    np.savez(work / "observe" / "observations.npz")  # nothing is known around the object
     write_json(work / "export.json", {"seconds": 0.5})
     write_json(work / "atlas" / "atlas.json", {"utilisation": 0.6, "seconds": 2.0})
     save_cameras(work / "poses" / "cameras.json", Rig(views, np.zeros(3), 0.5, "sfm"))
@@ -69,13 +72,13 @@ def work(tmp_path, ball, ring) -> Path:
             work / "refine" / str(k) / "refine.json", {"held_out_psnr": 30.0 + k, "seconds": 3.0}
         )
         write_json(work / "sample" / str(k) / "sample.json", {"seconds": 4.0})
-    for folder in ("poses/images", "mesh/masks", "masks"):
+    for folder in ("poses/images", "mesh/masks", "masks/masks"):
         (work / folder).mkdir(parents=True, exist_ok=True)
     for v, photo in zip(views, photos(ball, views)):
         write_exr(work / "poses" / v.image, photo)
-        write_png(
-            work / "mesh" / "masks" / f"{v.name}.png", (photo.sum(-1) > 0).astype(np.uint8) * 255
-        )
+        for stage in ("mesh", "masks"):
+            mask = (photo.sum(-1) > 0).astype(np.uint8) * 255
+            write_png(work / stage / "masks" / f"{v.name}.png", mask)
     Image.fromarray(to_srgb8(photo)).save(work / "masks" / "overlay.jpg")
     for name in ("mesh/preview.png", "atlas/atlas.png"):
         if not (work / name).exists():
@@ -104,6 +107,17 @@ def test_warnings_are_on_the_page(work, tmp_path):
     html = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "1 of 5 photos could not be placed" in html and "blurred &lt;b&gt;" in html
     assert "5 % of the pixels are saturated" in html and "fit: the fit stopped early" in html
+
+
+def test_trust_is_on_the_page_and_in_the_metrics(work, tmp_path):
+    metrics = make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
+    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert 'class="trust"' in html and "The chance that pictures under new light" in html
+    found = metrics["trust"]
+    assert found["explained"] == 30.5 and 0 < found["chance_of_failure"] < 1
+    one = SCENE.model_copy(update={"samples": 1})
+    assert make_report(work, tmp_path / "a.usda", tmp_path / "a.html", one)["trust"] is None
+    assert "takes two samples at least" in (tmp_path / "a.html").read_text(encoding="utf-8")
 
 
 def test_normal_map_is_on_the_page_where_there_is_one(work, bumpy, tmp_path):
@@ -208,3 +222,58 @@ def test_facts_of_the_page_are_the_stages_own(work):
         facts["refine 1"] == read_json(work / "refine" / "1" / "refine.json")
         and list(facts)[-1] == "export"
     )
+
+
+def test_choices_are_said_with_their_evidence(work):
+    """Nothing where `choose` is off; else what was chosen, what was allowed, and why."""
+    html = lambda: (make_report(work, Path("x.usda"), work / "r.html", SCENE), work / "r.html")[1]
+    assert "No more model" not in html().read_text(encoding="utf-8")
+
+    bounces = {
+        "chosen": {"render": {"max_depth": 2}},
+        "configured": {"render": {"max_depth": 4}},
+        "evidence": {
+            "hemisphere_blocked_by_the_object": {"mean": 0.031},
+            "lost_share_by_max_depth": {"2": 0.014, "3": 0.0},
+        },
+    }
+    fit = {
+        "chosen": {"fit": {"texture": 64, "steps": 120, "pixels": 1366}},
+        "configured": {"fit": {"texture": 256, "steps": 300, "pixels": 8192}},
+        "evidence": {"looks_at_a_texel": 40.02},
+    }
+    write_json(work / "choose" / "choose.json", {"decisions": {"bounces": bounces, "fit": fit}})
+    worth = lambda nats: {"nats": nats, "standard_error": 4.0}
+    gloss = {
+        "blocks": 70,
+        "roughness": {"chosen": "map", "gain_of_the_map": {"one value": worth(31.0)}},
+        "metallic": {"chosen": "none", "value": 0.0, "gain_of_the_map": {"none": worth(-2.5)}},
+    }
+    refined = read_json(work / "refine" / "1" / "refine.json")
+    write_json(work / "refine" / "1" / "refine.json", refined | {"gloss": gloss})
+
+    said = html().read_text(encoding="utf-8")
+    assert "over 1 surface interactions, 3 were allowed" in said
+    assert "hides 3.1 % of its own sky, and what is left out is 1.4 %" in said
+    assert "has 120 steps of 1366 pixels and 64 texels a side, 300, 8192 and 256 were" in said
+    assert "every texel is looked at 40 times" in said
+    assert "Sample 1, judged by 70 blocks" in said and "Sample 0, judged" not in said
+    assert "roughness is a map: a map gains +31.0 nats, standard error 4.0" in said
+    assert "metallic is none: a map gains -2.5 nats" in said
+
+
+def test_samples_needed_follow_from_their_spread(work):
+    """Of two base colours that differ by d everywhere the standard deviation is d / sqrt 2."""
+    one = explanation(16, 8, seed=0)
+    color = np.full((16, 16, 3), 0.2, np.float32)
+    other = linear_to_srgb(color) + 0.1
+    pair = [replace(one, base_color=color), replace(one, base_color=srgb_to_linear(other))]
+    found = samples_needed(pair)
+    assert found["spread"] == pytest.approx(0.1 / np.sqrt(2), rel=1e-3)
+    assert found["samples_needed"] == 13  # .005 / .0004 = 12.5
+    assert samples_needed([pair[0], pair[0]])["samples_needed"] == 2
+    assert samples_needed(pair[:1]) == {}
+
+    metrics = make_report(work, Path("x.usda"), work / "r.html", SCENE)
+    said = (work / "r.html").read_text(encoding="utf-8")
+    assert f"so {metrics['samples_needed']} give a mean" in said

@@ -6,6 +6,8 @@ import os
 import shlex
 import shutil
 import subprocess
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,15 +18,19 @@ from snakemake.utils import format as snakemake_format
 
 from pipeline.base.config import load_scene
 from pipeline.base.errors import InputError
+from pipeline.base.files import stage_folder
+from pipeline.base.locks import lock
 from pipeline.prior.locate import prior_files
 from pipeline.run import digest
 from pipeline.run.digest import NOT_COUNTED, ROOT, counted_files, meaning
-from pipeline.run.stage import overrides
+from pipeline.run.stage import of_the_disk, overrides
 from pipeline.run.workflow import (
+    WAITS,
     Scenes,
     checked_name,
     flattened,
     literal,
+    manifest_of,
     only_one_run,
     stage_command,
     unfinished_runs,
@@ -235,14 +241,19 @@ def test_names_that_no_file_can_have_are_refused(name):
         Scenes({})(name)
 
 
-def run_command(folder: Path, name: str, settings: list[str]) -> subprocess.CompletedProcess:
-    """The command of a stage as Snakemake fills it in and runs it."""
+def filled_in(folder: Path, name: str, settings: list[str]) -> str:
+    """The command of a stage as Snakemake fills it in."""
     template = stage_command("fit", "fit", "--out work/{wildcards.scene:q}/fit", settings)
     wildcards = SimpleNamespace(scene=name)
     log = f"work/{name}/logs/fit.log"
     command = snakemake_format(template, wildcards=wildcards, threads=2, log=[log])
     (folder / log).parent.mkdir(parents=True, exist_ok=True)
-    shell = f"set -euo pipefail; {command}"
+    return f"set -euo pipefail; {command}"
+
+
+def run_command(folder: Path, name: str, settings: list[str]) -> subprocess.CompletedProcess:
+    """The same, run."""
+    shell = filled_in(folder, name, settings)
     return subprocess.run(
         ["bash", "-c", shell], cwd=folder, capture_output=True, text=True, check=False
     )
@@ -299,7 +310,117 @@ def test_runs_that_do_not_end_well_are_counted(tmp_path, tool, monkeypatch):
     assert unfinished_runs("a b", "fit") == 2  # what the run was planned with: it is not due again
 
 
+def test_a_run_whose_driver_was_killed_is_counted_for_good(tmp_path, tool, monkeypatch):
+    """What is planned meanwhile has its byte in the plan."""
+    monkeypatch.chdir(tmp_path)
+    job = "touch begun; while kill -0 $PPID; do sleep 0.01; done; "
+    job = f"bash -c {shlex.quote(job + filled_in(tmp_path, 's', []))}"
+    driver = f"{job} & until [ -e begun ]; do sleep 0.01; done; kill -9 $$"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    assert subprocess.run(["bash", "-c", driver], cwd=tmp_path, **quiet).returncode == -9
+
+    mark = tmp_path / "work" / "s" / ".unfinished" / "fit"
+    log = tmp_path / "work" / "s" / "logs" / "fit.log"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (log.exists() and log.read_text()):
+        time.sleep(0.01)
+    assert run_command(tmp_path, "s", []).returncode == 0  # has waited for the other's end
+    assert unfinished_runs("s", "fit") == 1 == mark.stat().st_size
+
+
+def test_damaged_files_make_their_job_due_once(project, capsys):
+    """A plan sees them; a run counts them for good, so that it has the plan's number to its end and
+    after it.
+    """
+    with stage_folder("work/s/fit", "fit.json") as out:
+        (out / "fit.json").write_text("{}")
+    planned, run = Scenes({}), Scenes({}, exclusive=lambda: True)
+    assert planned.unfinished("s", "fit") == 0
+
+    Path("work/s/fit/fit.json").write_text("{")
+    assert planned.unfinished("s", "fit") == 1 == planned.unfinished("s", "fit")
+    assert planned.unfinished("s", "mesh") == 0
+    assert run.unfinished("s", "fit") == 1 == run.unfinished("s", "fit")
+    assert "fit is made again: damaged since: fit.json" in capsys.readouterr().err
+
+    with stage_folder("work/s/fit", "fit.json") as out:
+        (out / "fit.json").write_text("{}")
+    assert run.unfinished("s", "fit") == 1 == planned.unfinished("s", "fit")
+
+
+def test_every_job_has_its_own_manifest():
+    found = [str(manifest_of("s", job)) for job in ("fit", "sample_12", "export", "report")]
+    assert found == [
+        "work/s/fit/.files.json",
+        "work/s/sample/12/.files.json",
+        "work/s/.export.files.json",
+        "work/s/.report.files.json",
+    ]
+
+
+# --- full disks --------------------------------------------------------------------------------
+
+
+def test_a_disk_that_openexr_finds_full_is_named(tmp_path):
+    """As OpenEXR says it; with a disk that is full: benchmarks.faults."""
+    found = RuntimeError('Failed to write pixel data to image file "a". No space left on device.')
+    told = of_the_disk(found, tmp_path)
+    assert isinstance(told, InputError) and "the disk is full" in str(told)
+    other = RuntimeError("Failed to write pixel data")
+    assert of_the_disk(other, tmp_path) is other
+
+
+def test_a_disk_that_numpy_finds_full_is_named(tmp_path):
+    """/dev/full takes nothing; numpy's error has no number."""
+    with pytest.raises(OSError) as found, open("/dev/full", "wb", buffering=0) as file:
+        np.save(file, np.zeros(1000))
+    assert "the disk is full" in str(of_the_disk(found.value, tmp_path))
+    short = OSError("8 requested and 0 written")
+    assert "the disk is full" in str(of_the_disk(short, tmp_path))
+
+
+# --- times ------------------------------------------------------------------------------------
+
+
+def test_photos_from_the_future_are_named(project):
+    photo = next(Path(path) for path in Scenes({}).photos("s"))
+    tomorrow = time.time() + 86400
+    os.utime(photo, (tomorrow, tomorrow))
+    with pytest.raises(InputError, match=rf"{photo.name}: the file is from the future, by .*:"):
+        Scenes({}).photos("s")
+
+
+def test_results_of_a_clock_that_has_gone_back_are_from_now(project):
+    """A plan leaves them alone; a run settles them, and nothing else."""
+    files = [Path("work/s/fit/fit.json"), Path("exports/s/a.png"), Path("exports/s.usda")]
+    others = [Path("exports/s2.usda"), Path("work/s2/fit.json"), Path("configs/s.yaml")]
+    tomorrow = time.time() + 86400
+    for file in files + others:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+        os.utime(file, (tomorrow, tomorrow))
+
+    Scenes({})("s")
+    assert all(file.stat().st_mtime == pytest.approx(tomorrow) for file in files)
+    Scenes({}, exclusive=lambda: True)("s")
+    assert all(abs(file.stat().st_mtime - time.time()) < 60 for file in files)
+    assert all(file.stat().st_mtime == pytest.approx(tomorrow) for file in others)
+
+
 # --- locks ------------------------------------------------------------------------------------
+
+
+def test_a_job_waits_for_its_like_that_a_killed_run_has_left_at_work(tmp_path, tool):
+    mark = tmp_path / "work" / "s" / ".unfinished" / "fit"
+    mark.parent.mkdir(parents=True)
+    left = lock(mark)
+    with ThreadPoolExecutor() as pool:
+        waiting = pool.submit(run_command, tmp_path, "s", [])
+        with pytest.raises(TimeoutError):
+            waiting.result(timeout=0.5)
+        left.close()
+        done = waiting.result(timeout=60)
+    assert done.returncode == 0 and WAITS in done.stderr
 
 
 def test_only_one_run_of_a_scene_at_a_time(tmp_path):
@@ -312,7 +433,7 @@ def test_only_one_run_of_a_scene_at_a_time(tmp_path):
 
 def test_a_lock_is_of_the_scenes_asked_for(project):
     shutil.copy("configs/s.yaml", "configs/t.yaml")
-    first, second = Scenes({}, exclusive=True), Scenes({}, exclusive=True)
+    first, second = Scenes({}, exclusive=lambda: True), Scenes({}, exclusive=lambda: True)
     first("s")
     second("t")
     with pytest.raises(InputError, match="another run is at work on this scene"):
@@ -322,5 +443,5 @@ def test_a_lock_is_of_the_scenes_asked_for(project):
 
 def test_a_mistyped_scene_leaves_nothing_behind(project):
     with pytest.raises(InputError, match="no such configuration"):
-        Scenes({}, exclusive=True)("nowhere")
+        Scenes({}, exclusive=lambda: True)("nowhere")
     assert not os.path.exists("work")

@@ -1,11 +1,14 @@
 """The facts that the mesh stage passes on."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from pipeline.base.config import Scene
 from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
 from pipeline.posterior import load
+from pipeline.render.surroundings import Surroundings
 from pipeline.surface.facts import SurfaceFacts
 
 
@@ -24,7 +27,8 @@ def test_missing_facts_are_named(tmp_path):
 
 def test_a_problem_takes_the_normals_error_from_the_meshs_folder(tmp_path, ball, monkeypatch):
     SurfaceFacts(normal_error=0.0625).save(tmp_path)
-    monkeypatch.setattr(load, "Observations", lambda *folders: None)
+    seen = SimpleNamespace(surroundings=Surroundings())
+    monkeypatch.setattr(load, "Observations", lambda *folders: seen)
     scene = Scene(photos="nowhere")
     problem = load.load_problem(tmp_path, tmp_path, ball, tmp_path, scene, 16, 16)
     assert problem.normal_error == 0.0625

@@ -13,7 +13,7 @@ from pipeline.surface.clean import facts, largest_solid, signed_volume, simplify
 from pipeline.surface.depth import Depth
 from pipeline.surface.field import hull_of
 from pipeline.surface.fusion import coarse_hull, fuse, silhouettes_of
-from pipeline.surface.make import given_mesh
+from pipeline.surface.given import given_mesh
 from pipeline.surface.raster import rasterize
 
 
@@ -118,11 +118,13 @@ def test_given_mesh_is_turned_like_its_cameras(tmp_path, ball):
         tmp_path / "mesh.ply", Mesh(mesh.vertices + [0, 0, 5.0], mesh.faces, mesh.normals, mesh.uv)
     )
     rig = Rig([], np.zeros(3), 1.0, "transforms.json", {"world": Y_FROM_Z_UP})
+    given = given_mesh(tmp_path, rig)
     assert np.allclose(
-        given_mesh(tmp_path, rig).vertices.mean(0),
+        given.vertices.mean(0),
         mesh.vertices.mean(0)[[0, 2, 1]] * [1, 1, -1] + [0, 5, 0],
         atol=1e-3,
     )
+    assert np.allclose(given.uv[given.faces], mesh.uv[mesh.faces], atol=1e-6)
     with pytest.raises(InputError, match="no cameras"):
         given_mesh(tmp_path, Rig([], np.zeros(3), 1.0, "sfm", {}))
 

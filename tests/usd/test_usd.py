@@ -1,4 +1,5 @@
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,9 +7,18 @@ from pxr import Usd, UsdShade
 
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr
+from pipeline.render.renderer import Explanation
 from pipeline.usd.check import check
+from pipeline.usd.read import read_asset
 from pipeline.usd.write import export
 from tests.render.test_renderer import explanation
+
+
+def varied(seed: int) -> Explanation:
+    """An explanation of which every map varies."""
+    rng = np.random.default_rng(seed)
+    gloss = rng.random((2, 16, 16)).astype(np.float32)
+    return replace(explanation(16, 8, seed=seed), roughness=gloss[0], metallic=gloss[1])
 
 
 @pytest.fixture
@@ -16,7 +26,7 @@ def exported(tmp_path, ball):
     samples = []
     for k in range(3):
         folder = tmp_path / "refine" / str(k)
-        explanation(16, 8, seed=k).save(folder)
+        varied(k).save(folder)
         samples.append(folder)
     out = tmp_path / "exports" / "mein garten é.usda"
     out.parent.mkdir()
@@ -162,8 +172,18 @@ def test_mesh_and_light_conventions(exported, ball):
 
 def test_unwritable_target_is_named(ball, tmp_path, exported):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="cannot be made"):
         export(ball, exported[2], tmp_path / "file" / "a.usda", {})
+
+
+def test_nobodys_folder_is_replaced(ball, tmp_path, exported):
+    """`a.usda` keeps its textures in `a/`: if somebody has one, it is not deleted."""
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "to_my_mother.txt").write_text("Dear mother,")
+    with pytest.raises(InputError, match="no earlier export"):
+        export(ball, exported[2], tmp_path / "a.usda", {})
+    assert [p.name for p in (tmp_path / "a").iterdir()] == ["to_my_mother.txt"]
+    assert not (tmp_path / "a.usda").exists()
 
 
 def test_fit_and_export_agree_on_the_texture_frame(ball):
@@ -213,3 +233,39 @@ def test_normal_map_is_exported_as_the_specification_asks(bumpy, tmp_path, expor
     assert exported_map.read_bytes() == (bumpy / "normal.png").read_bytes()
     plain = Usd.Stage.Open(str(exported[1]))
     assert not shader_of(plain, "Normal") and not shader_of(plain, "Surface").GetInput("normal")
+
+
+def test_a_map_of_one_value_is_a_number_in_the_material(ball, tmp_path):
+    """Roughness varies in sample 0 only, metallic nowhere: each variant carries what it has, no
+    file is written for the rest, and the package holds none.
+    """
+    samples = []
+    for k, roughness in enumerate((None, 0.3, 0.7001)):
+        x = varied(k)
+        if roughness is not None:
+            # within what 8 bits tell of one value, on both sides of where they round
+            image = np.full((16, 16), roughness, np.float32)
+            image[::2] += 0.9 / 255
+            x = replace(x, roughness=image)
+        replace(x, metallic=np.zeros((4, 4), np.float32)).save(tmp_path / str(k))
+        samples.append(tmp_path / str(k))
+    out = tmp_path / "exports" / "a.usda"
+    export(ball, samples, out, {"preset": "draft"})
+
+    written = {str(p.relative_to(out.parent / "a")) for p in out.parent.glob("a/*/*.png")}
+    assert written == {f"sample_{k}/base_color.png" for k in range(3)} | {"sample_0/roughness.png"}
+    stage = Usd.Stage.Open(str(out))
+    variants = stage.GetDefaultPrim().GetVariantSet("sample")
+    for k, expected in enumerate((None, 0.3, 0.7001)):
+        variants.SetVariantSelection(f"sample_{k}")
+        flat = Usd.Stage.Open(str(out.with_suffix("") / f"sample_{k}.usda"))
+        for place in (stage, flat):
+            surface = shader_of(place, "Surface")
+            assert surface.GetInput("metallic").Get() == 0 and not shader_of(place, "Metallic")
+            assert bool(shader_of(place, "Roughness")) == (expected is None)
+            assert surface.GetInput("roughness").HasConnectedSource() == (expected is None)
+            if expected is not None:
+                assert abs(surface.GetInput("roughness").Get() - expected) <= 0.5 / 255 + 1e-6
+        read = read_asset(out, f"sample_{k}").explanation
+        assert (read.metallic == 0).all() and (np.ptp(read.roughness) > 0.5) == (expected is None)
+    assert check(out) == [] and check(out.with_suffix(".usdz")) == []

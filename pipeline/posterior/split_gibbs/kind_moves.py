@@ -127,11 +127,11 @@ def propose_jump(
 
 
 def guessed_color(model: RowModel, U: np.ndarray, W: np.ndarray) -> np.ndarray:
-    """Base colours (R, 3) with which the regions' rows are explained best, saturated ones left out,
+    """Base colours (R, 3) that explain the regions' rows best, saturated values left out,
     U and W (n, 3) being what the lobes see; within [DARKEST, ALBEDO_MAX].
     """
     data = model.data
-    weight = np.where(data.clipped[:, None], 0, model.precision * U)
+    weight = np.where(data.clipped, 0, model.precision * U)
     explained = region_sums(data, weight * (data.observed - W))
     best = explained / np.maximum(region_sums(data, weight * U), 1e-12)
     return np.clip(best, DARKEST, ALBEDO_MAX)

@@ -25,8 +25,8 @@ from pipeline.posterior.split_gibbs.pooling import Fold, Pool, Whole, pooled
 from pipeline.prior.gaussian import GaussianPrior
 from pipeline.prior.protocol import Prior
 
-# modes of the Gaussian prior: 95 % of its variance
-COMPONENTS = 400
+# modes of the Gaussian prior: 92 % of its variance
+COMPONENTS = 250
 # mean and deviation of log base colour in the reference Gaussian of the colours
 COLOR, COLOR_SPREAD = np.log(0.3), 0.8
 

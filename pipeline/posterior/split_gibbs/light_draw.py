@@ -21,7 +21,7 @@ from pipeline.posterior.split_gibbs.gaussian_approximation import (
 )
 from pipeline.posterior.split_gibbs.state import Randomness
 
-SLICES = 6
+SLICES = 3
 # bracket of angles (radians) below which a slice is numerically back at its start
 CLOSED = 1e-6
 

@@ -189,11 +189,15 @@ class RowLikelihood:
         return np.clip(self.materials.color[self.data.region] * U + W, 0, ALBEDO_MAX)
 
     def nodes(self, light: np.ndarray) -> np.ndarray:
-        """Radiance (q, 3) that the nodes of the surface give off under a light."""
+        """Radiance (q, 3) that the nodes of the surface give off under a light, and the ground's
+        columns (`Transport.with_ground`).
+        """
         transport, bounces = self.data.transport, self.data.bounces
         if bounces > 1:
-            return transport.exitant(light, self.albedo(), bounces - 1)
-        return np.zeros((len(transport.node_position), 3))
+            radiance = transport.exitant(light, self.albedo(), bounces - 1)
+        else:
+            radiance = np.zeros((len(transport.node_position), 3))
+        return transport.with_ground(radiance)
 
     def predict(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """U and W applied to a light, (n, 3) each, light off the object included."""
@@ -212,23 +216,29 @@ class RowLikelihood:
         return U, W, self.model.draw_colors(U, W, self.materials, rng)
 
     def value(self, light: np.ndarray) -> float:
-        """Log-likelihood of a light."""
-        return float(self.model.point_values(*self.predict(light), self.materials).sum())
+        """Log-likelihood of a light, by what it does to the object and by what is seen of it."""
+        of_rows = float(self.model.point_values(*self.predict(light), self.materials).sum())
+        return of_rows + self.data.seen_light.value(light)
 
     def residual(self, light: np.ndarray) -> torch.Tensor:
-        """r (3, n) of `expansion`, without building T."""
+        """r (3, n + s) of `expansion`, without building T."""
         U, W = self.predict(light)
         rest = torch.from_numpy(self.model.rest(U, W, self.materials).astype(np.float32))
         by_channel = enumerate(whiteners(self.model, U, W, self.materials))
-        return torch.stack([whiten(rest[:, c : c + 1])[:, 0] for c, whiten in by_channel])
+        of_rows = torch.stack([whiten(rest[:, c : c + 1])[:, 0] for c, whiten in by_channel])
+        seen = torch.from_numpy(self.data.seen_light.residual(light).T.astype(np.float32))
+        return torch.cat([of_rows, seen], 1)
 
     def adjoint(self, light: np.ndarray, w: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """T^T w (3, M) and V^T w (3, R) of `expansion` for w (3, n), without building T."""
+        """T^T w (3, M) and V^T w (3, R) of `expansion` for w (3, n + s), without building T."""
         U, W = self.predict(light)
+        seen = self.data.seen_light
+        w, of_seen = w[:, : len(U)], w[:, len(U) :].numpy()
         mu = self.materials.color[self.data.row_region]
         by_channel = enumerate(whiteners(self.model, U, W, self.materials))
         t = np.stack([whiten.transposed(w[c][:, None])[:, 0].numpy() for c, whiten in by_channel])
         T = (t * mu.T.astype(np.float32)) @ self.matrices.U.numpy() + t @ self.matrices.W.numpy()
+        T[:, seen.pixel] += of_seen * seen.counted(light).T.astype(np.float32)
         regions = len(self.materials)
         V = np.stack(
             [
@@ -239,8 +249,9 @@ class RowLikelihood:
         return torch.from_numpy(T), torch.from_numpy(V.astype(np.float32))
 
     def expansion(self, light: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """T (3, n, M), r (3, n), V (3, n, R): log-likelihood ~ -|r - T dL - V d|^2 / 2 for a change
-        dL of the light and regions whose log mean colour moves by d.
+        """T (3, n + s, M), r (3, n + s), V (3, n + s, R): log-likelihood ~ -|r - T dL - V d|^2 / 2
+        for a change dL of the light and regions whose log mean colour moves by d; the last s rows
+        are those of the light that is seen.
 
         T is the direct part of the transport, and the bounds of base colours are left out.
         """
@@ -259,4 +270,11 @@ class RowLikelihood:
             by_region = torch.from_numpy((mu[:, c] * U[:, c]).astype(np.float32))
             V[c][np.arange(rows), self.data.row_region] = by_region
             V[c] = whiten(V[c])
-        return T, r, V
+
+        seen = self.data.seen_light
+        if not len(seen.pixel):
+            return T, r, V
+        of_seen = torch.from_numpy(seen.residual(light).T.astype(np.float32))
+        blank = torch.zeros(3, len(seen.pixel), regions)
+        together = lambda *parts: torch.cat(parts, 1)
+        return together(T, seen.rows(light)), together(r, of_seen), together(V, blank)

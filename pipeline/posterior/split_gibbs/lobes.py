@@ -66,7 +66,8 @@ class LobeTable:
     """The lobes of n rows at every roughness step.
 
     direct: per traced roughness the light matrices (4, n, M), float32;
-    off: per traced roughness four sparse (n, q), for light that comes off the object's nodes;
+    off: per traced roughness four sparse (n, q), for light that comes off the object's nodes, or
+    (n, q + 3) with the ground's columns (render/transport.py);
     roughness: its value at every step. Halfway between two traced lobes the interpolated one is 2
     to 6 % from a traced one, which is the Monte-Carlo error of tracing; the nearer traced neighbour
     is 7 to 22 % off. A gloss tells how bright the light is by how broad it is: with the traced
@@ -133,6 +134,15 @@ class LobeTable:
         if way == 0:
             return self.direct[low][:, rows]
         return torch.lerp(self.direct[low][:, rows], self.direct[high][:, rows], float(way))
+
+    def from_ground(self, step: int) -> np.ndarray:
+        """(4, n, 3): light from the ground in every lobe at one roughness step, of a table whose
+        `off` has no other columns than the ground's; (4, n, 1) zeros where there is no ground.
+        """
+        low, high, way = neighbours(step, len(self.off))
+        parts = ((low, 1 - way), (high, way))
+        given = sum(share * np.stack([g.toarray() for g in self.off[k]]) for k, share in parts)
+        return given if given.shape[2] else np.zeros((*given.shape[:2], 1), np.float32)
 
     def apply(self, light: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         """(steps, 4, n, 3): what every lobe sees of a light (M, 3) and of the exitant radiance of

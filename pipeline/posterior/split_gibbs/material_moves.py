@@ -172,18 +172,25 @@ def draw_gauge(
     pull: Callable[[np.ndarray], float],
     steps: int,
     rng: np.random.Generator,
+    fixed: tuple[np.ndarray, np.ndarray] | None = None,
+    seen: Callable[[np.ndarray], float] = lambda gain: 0.0,
 ) -> tuple[RegionMaterials, float, GaugeInfo]:
     """Moves along what the photos hardly tell: light brighter, base colours darker; the same per
     channel.
 
     U and W (n, 3): what the lobes see now; `pull(shift (3,))`: log-density of adding `shift` to the
-    light's log radiance per channel; `centre`: mean of the log scale's prior. Returns materials,
-    log scale, and the shift with the count of accepted moves.
+    light's log radiance per channel; `centre`: mean of the log scale's prior; fixed: the parts of U
+    and W that come from the ground; `seen(gain (3,))`: log-likelihood of what is seen of the light
+    times a gain. Returns materials, log scale, and the shift with the count of accepted moves.
     """
+    stay_U, stay_W = fixed or (np.zeros(3), np.zeros(3))
 
     def log_density(m: RegionMaterials, s: float, d: np.ndarray) -> float:
         gain = np.exp(s - log_scale + d)
-        rows = model.point_values(U * gain, W * gain, m).sum()
+        rows = model.point_values(
+            stay_U + (U - stay_U) * gain, stay_W + (W - stay_W) * gain, m
+        ).sum()
+        rows = rows + seen(gain)
         scale = 0.5 * ((s - centre) / SCALE_PRIOR) ** 2
         return rows + log_prior(m, model.data.lobes.roughness) + pull(d) - scale
 
@@ -229,7 +236,9 @@ def gauge_kernel(
 
     def kernel(rng: Randomness, state: State) -> tuple[State, GaugeInfo]:
         rows = RowLikelihood.of(mixer, state)
-        U, W = rows.predict(decoder.light(state.code, state.log_scale))
+        light = decoder.light(state.code, state.log_scale)
+        U, W = rows.predict(light)
+        seen = mixer.data.seen_light
         materials, log_scale, info = draw_gauge(
             rows.model,
             U,
@@ -240,6 +249,8 @@ def gauge_kernel(
             pull_of(state),
             GAUGE_STEPS,
             rng.numpy,
+            rows.predict(np.zeros_like(light)),
+            lambda gain: seen.value(light * gain),
         )
         shift = (info.shift / decoder.prior.log_spread).astype(np.float32)
         code = state.code + torch.from_numpy(shift)[:, None]

@@ -20,13 +20,13 @@ UNCORRELATED = 0.05
 def log_noise(model: RowModel, U: np.ndarray, W: np.ndarray, colors: np.ndarray) -> float:
     """Log-density of all residuals given the points' colours (p, 3), up to a constant.
 
-    lambda is integrated out: Student's t of scale eta; saturated rows are a penalty only.
+    lambda is integrated out: Student's t of scale eta; saturated values are a penalty only.
     """
     relative, explained = model.misfit(U, W, colors)
     scale = model.noise.scale
     count = (~explained).sum(1)
     tail = 0.5 * (NU + count) * np.log1p(relative.sum(1) / (NU * scale**2))
-    return float(-tail.sum() - 3 * (~model.data.clipped).sum() * np.log(scale))
+    return float(-tail.sum() - model.data.unbounded.sum() * np.log(scale))
 
 
 def draw_noise(
@@ -38,17 +38,17 @@ def draw_noise(
 ) -> Noise:
     """lambda given eta, then eta given lambda, both given the points' colours (p, 3).
 
-    Saturated rows have no say in eta. A draw of eta^2 is inverse gamma.
+    Saturated values have no say in eta. A draw of eta^2 is inverse gamma.
     """
     relative, explained = model.misfit(U, W, colors)
     shape = 0.5 * (NU + (~explained).sum(1))
     rate = 0.5 * (NU + relative.sum(1) / model.noise.scale**2)
     weight = rng.gamma(shape, 1 / rate)
 
-    rest = ~model.data.clipped
+    rest = model.data.unbounded
     effect = model.noise.design_effect
     freedom = relative[rest].size / effect
-    square = (weight[rest, None] * relative[rest]).sum() / effect
+    square = (weight[:, None] * relative)[rest].sum() / effect
     scale = float(np.sqrt((0.5 * square + 1e-4) / rng.gamma(0.5 * freedom + 1.0)))
     return replace(model.noise, scale=scale, weight=weight)
 

@@ -30,10 +30,12 @@ import numpy as np
 from scipy import special, stats
 
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
+from pipeline.posterior.seen_light import SeenLight
 from pipeline.posterior.split_gibbs.coherence import Neighbours
 from pipeline.posterior.split_gibbs.lobes import LobeTable
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
 from pipeline.render.rows import Rows
+from pipeline.render.surroundings import Sightings
 from pipeline.render.transport import Transport
 
 # quantile of a point's pixels whose base colour must be possible
@@ -44,11 +46,12 @@ BRIGHT = 0.9
 class RowData:
     """What a draw is made from, and does not change in it.
 
-    observed (n, 3): radiance of the rows; clipped (n,): whether that is a lower bound;
+    observed (n, 3): radiance of the rows; clipped (n, 3): whether that is a lower bound;
     region (p,): of every point; ceiling (p, 3): of its base colour; point_weight (p,): how much its
     rows count in this draw; light_rows: rows of the light that the operator resolves;
     bounces: how many surface interactions light has behind it at most, as the path tracer's;
-    neighbours: which points of a region prefer to be alike.
+    neighbours: which points of a region prefer to be alike; sightings: what photos show of the
+    light itself; told (n,): whether a row counts, or is kept to judge by (`thinning.explained`).
     """
 
     transport: Transport
@@ -62,6 +65,8 @@ class RowData:
     light_rows: int
     bounces: int
     neighbours: Neighbours
+    told: np.ndarray
+    sightings: Sightings | None = None
 
     @classmethod
     def plain(
@@ -81,14 +86,25 @@ class RowData:
             lobes=lobes,
             rows=transport.rows,
             observed=observed.astype(np.float64),
-            clipped=np.zeros(len(observed), bool),
+            clipped=np.zeros(observed.shape, bool),
             region=region,
             ceiling=np.full((points, 3), ALBEDO_MAX),
             point_weight=np.ones(points),
             light_rows=transport.h,
             bounces=bounces,
             neighbours=Neighbours.none(points),
+            told=np.ones(len(observed), bool),
         )
+
+    @cached_property
+    def seen_light(self) -> SeenLight:
+        """The pixels of the operator's light that photos show."""
+        return SeenLight.of(self.sightings, self.light_rows)
+
+    @property
+    def unbounded(self) -> np.ndarray:
+        """Values that count and are no lower bounds (n, 3)."""
+        return ~self.clipped & self.told[:, None]
 
     @cached_property
     def starts(self) -> np.ndarray:
@@ -127,10 +143,11 @@ class RowModel:
     @property
     def precision(self) -> np.ndarray:
         """1 / variance of each row and channel (n, 3), whether it counts or not."""
-        return self.noise.weight[:, None] / (self.noise.scale * (self.data.observed + SHADE)) ** 2
+        weight = self.noise.weight * self.data.told
+        return weight[:, None] / (self.noise.scale * (self.data.observed + SHADE)) ** 2
 
     def counted(self, U: np.ndarray, W: np.ndarray, materials: RegionMaterials) -> np.ndarray:
-        """`precision` (n, 3) without the saturated rows that U and W explain."""
+        """`precision` (n, 3) without the saturated values that U and W explain."""
         precision = self.precision
         clipped = self.data.clipped
         if not clipped.any():
@@ -139,8 +156,8 @@ class RowModel:
         lower = precision[clipped]
         precision[clipped] = 0
         sums = self.sums(U, self.rest(U, W, materials), precision)
-        color = self.colors(*sums, materials)[0][self.data.rows.point[clipped]]
-        darker = color * U[clipped] + W[clipped] < self.data.observed[clipped]
+        color = self.colors(*sums, materials)[0][self.data.rows.point]
+        darker = (color * U + W < self.data.observed)[clipped]
         precision[clipped] = np.where(darker, lower, 0)
         return precision
 
@@ -216,12 +233,12 @@ class RowModel:
     def misfit(
         self, U: np.ndarray, W: np.ndarray, colors: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Squared relative residuals (n, 3) given the points' colours (p, 3), and where a saturated
-        row is explained, so that it is 0 (n, 3).
+        """Squared relative residuals (n, 3) given the points' colours (p, 3), and where a value is
+        explained, so that it is 0 (n, 3): a saturated one, or one that does not count.
         """
         observed = self.data.observed
         predicted = colors[self.data.rows.point] * U + W
-        explained = self.data.clipped[:, None] & (predicted >= observed)
+        explained = self.data.clipped & (predicted >= observed) | ~self.data.told[:, None]
         relative = ((observed - predicted) / (observed + SHADE)) ** 2
         return np.where(explained, 0, relative), explained
 

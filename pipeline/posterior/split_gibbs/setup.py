@@ -42,6 +42,8 @@ BLOCKS, SHAPE = 12, 2.0
 EXPLAINED = 0.6, 0.97
 # radiosity nodes beside the points, as a share of their number
 NODES = 0.5
+# one of so many photos is kept to judge starts by
+PHOTOS_PER_ASKED = 4
 # noise and step sizes that a chain begins with
 FIRST_ERROR, FIRST_STEP, FIRST_SPREAD = 0.3, 0.05, 0.3
 
@@ -68,6 +70,13 @@ class Model:
     def decoder(self, prior: Prior, gain: float = 1.0) -> Decoder:
         """From codes of `prior` to what the operator acts on."""
         return Decoder.onto(prior, self.data.light_rows, gain)
+
+    def without_some_photos(self, rng: np.random.Generator) -> Model:
+        """The same, in which the rows of some photos do not count; with few photos all do."""
+        photos = np.unique(self.view)
+        asked = rng.permutation(photos)[: len(photos) // PHOTOS_PER_ASKED]
+        data = replace(self.data, told=~np.isin(self.view, asked))
+        return replace(self, data=data, mixer=Mixer(data))
 
     def modes(self, prior: Prior) -> Modes:
         """Modes of the Gaussian prior in codes of `prior`."""
@@ -128,6 +137,7 @@ def operator(
         round(NODES * len(rows.starts)),
         seed,
         error,
+        problem.renderer.ground,
     )
     spreads = spreads_about(error)
     return transport, LobeTable.trace(transport, problem.roughness_min, seed, spreads=spreads)
@@ -155,6 +165,7 @@ def row_data(
         point_weight=block_weights(position, rng.numpy),
         neighbours=Neighbours.of(position, features(color), region),
         ceiling=ALBEDO_MAX / contrast(rows, observations.rgb),
+        sightings=observations.surroundings.sightings,
     )
 
 

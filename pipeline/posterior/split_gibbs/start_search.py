@@ -19,23 +19,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from pipeline.posterior.split_gibbs.coherence import Neighbours
+from pipeline.posterior.seen_light import SeenLight
 from pipeline.posterior.split_gibbs.gaussian_approximation import cholesky
 from pipeline.posterior.split_gibbs.light_codes import Decoder, Modes, ModeUnknowns
 from pipeline.posterior.split_gibbs.likelihood import whiteners
-from pipeline.posterior.split_gibbs.lobes import BETWEEN, LobeTable, mix
+from pipeline.posterior.split_gibbs.lobes import BETWEEN, LobeTable
 from pipeline.posterior.split_gibbs.material_moves import categorical
 from pipeline.posterior.split_gibbs.material_prior import log_prior
-from pipeline.posterior.split_gibbs.pooling import pooled
 from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
+from pipeline.posterior.split_gibbs.search_rows import SearchRows, Seen
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
 from pipeline.prior.gaussian import GaussianPrior
-from pipeline.render.rows import Rows
 
-# rows of the light: the modes are no finer
-ROWS = 16
 # relative error, and rows per independent one, assumed during the search
-ERROR, THINNING = 0.1, 3.0
+ERROR, THINNING = 0.05, 3.0
 # steps of the light before materials are drawn
 LIGHT_FIRST = 3
 # leading modes of the Gaussian prior
@@ -49,38 +46,9 @@ UNIFORM = [step * BETWEEN for step in (0, 2, 5)]
 LONGEST = 3.0
 
 
-def coarse_lobes(data: RowData) -> tuple[LobeTable, int]:
-    """Lobes for lights of at most ROWS rows, and their rows."""
-    light_rows = min(ROWS, data.light_rows)
-    direct = [pooled(F, light_rows) for F in data.lobes.direct]
-    return replace(data.lobes, direct=direct), light_rows
-
-
-def subset(data: RowData, lobes: LobeTable, light_rows: int, points: np.ndarray) -> RowData:
-    """Some of the points only, as one region, seen by `coarse_lobes`; `points` sorted.
-
-    The search leaves light between parts out.
-    """
-    keep = np.isin(data.rows.point, points)
-    mine = torch.from_numpy(keep)
-    return RowData(
-        transport=data.transport,
-        lobes=replace(lobes, direct=[F[:, mine] for F in lobes.direct], off=[]),
-        rows=Rows(data.rows.observation[keep], np.searchsorted(points, data.rows.point[keep])),
-        observed=data.observed[keep],
-        clipped=data.clipped[keep],
-        region=np.zeros(len(points), int),
-        ceiling=data.ceiling[points],
-        point_weight=data.point_weight[points],
-        light_rows=light_rows,
-        bounces=1,
-        neighbours=Neighbours.none(len(points)),
-    )
-
-
 def assumed_noise(data: RowData, saturated: float) -> Noise:
     """The errors assumed during the search; `saturated`: weight of saturated rows."""
-    return Noise(ERROR, np.where(data.clipped, saturated, 1.0), THINNING)
+    return Noise(ERROR, np.where(data.clipped.any(1), saturated, 1.0), THINNING)
 
 
 @dataclass(frozen=True)
@@ -94,30 +62,20 @@ class Piece:
 
 
 class Linear:
-    """What the lobes of every region make of the light (M', 3) of coefficients c (K,) and of its
-    changes per mode (3, K, M'): small matrices, of which those of any metallic are mixed.
+    """The light (M', 3) at coefficients c (K,) and its changes per mode (3, K, M'). What is seen of
+    the light itself is a piece beside those of the regions: value, H, b.
     """
 
-    def __init__(
-        self, parts: list[RowData], c: torch.Tensor, light: np.ndarray, moved: torch.Tensor
-    ):
-        self.parts = parts
+    def __init__(self, c: torch.Tensor, light: np.ndarray, moved: torch.Tensor, seen: SeenLight):
+        self.value = seen.value(light)
+        weight = torch.from_numpy(seen.counted(light).T.astype(np.float32))
+        J = weight[:, :, None] * moved[:, :, seen.pixel].transpose(1, 2)
+        r = torch.from_numpy(seen.residual(light).T.astype(np.float32))
+        self.H = torch.einsum("csk,csl->kl", J, J)
+        self.b = torch.einsum("csk,cs->k", J, r)
         self.c = c
         self.light = torch.from_numpy(light.astype(np.float32))
         self.moved = moved
-        self.known: dict[tuple[int, int], tuple[np.ndarray, torch.Tensor]] = {}
-
-    def lobes(self, r: int, roughness: int) -> tuple[np.ndarray, torch.Tensor]:
-        """Region r's four lobes at a roughness step, its normals spreading as is usual: under the
-        light (4, n, 3), and under its modes (3, 4, n, K).
-        """
-        lobes = self.parts[r].lobes
-        shown = int(lobes.blurred[roughness, lobes.usual])
-        if (r, shown) not in self.known:
-            F = lobes.at(shown)
-            under_modes = torch.stack([F @ change.T for change in self.moved])
-            self.known[r, shown] = (F @ self.light).numpy(), under_modes
-        return self.known[r, shown]
 
 
 @dataclass(frozen=True)
@@ -125,14 +83,16 @@ class Search:
     """Draws of each region's roughness and metallic given the other regions'; light codes = mean +
     modes c with c ~ N(0, 1).
 
-    parts: a region each; noise: the errors assumed for each; log_scale: of the light, held.
+    log_scale: of the light, held; seen: what photos show of the light; saturated: weight of
+    saturated rows.
     """
 
-    parts: list[RowData]
-    noise: list[Noise]
+    rows: SearchRows
     decoder: Decoder
     unknowns: ModeUnknowns
     log_scale: float
+    seen: SeenLight
+    saturated: float = 1.0
 
     @classmethod
     def over(
@@ -143,31 +103,29 @@ class Search:
         points: int,
         rng: np.random.Generator,
     ) -> Search:
-        """With `points` of the points in all; every region keeps at least 8: small ones have a say
-        too.
-        """
-        part_kept = min(1.0, points / len(data.region))
-        lobes, light_rows = coarse_lobes(data)
-        parts = []
-        for r in range(data.region.max() + 1):
-            mine = rng.permutation(np.flatnonzero(data.region == r))
-            kept = np.sort(mine[: max(8, round(part_kept * len(mine)))])
-            parts.append(subset(data, lobes, light_rows, kept))
+        """With about `points` of the points (`SearchRows.over`)."""
+        rows = SearchRows.over(data, points, rng)
+        light_rows = rows.data.light_rows
         modes = Modes(gaussian, gaussian, SEARCH_COMPONENTS, light_rows)
         unknowns = ModeUnknowns.seen(modes, gaussian.flat_mean)
-        noise = [assumed_noise(part, 1.0) for part in parts]
-        return cls(parts, noise, Decoder.onto(gaussian, light_rows), unknowns, log_scale)
+        seen = SeenLight.of(data.sightings, light_rows)
+        return cls(rows, Decoder.onto(gaussian, light_rows), unknowns, log_scale, seen)
+
+    @property
+    def lobes(self) -> LobeTable:
+        """Of the rows."""
+        return self.rows.data.lobes
 
     def counting_saturated(self, weight: float) -> Search:
         """The same search, in which saturated rows count by `weight`."""
-        return replace(self, noise=[assumed_noise(part, weight) for part in self.parts])
+        return replace(self, saturated=weight)
 
     def linear(self, c: torch.Tensor) -> Linear:
         """The light at coefficients c (K,), as the regions see it."""
         code = self.unknowns.code(c[None])
         light = self.decoder.light(code, self.log_scale)
         slope = self.decoder.slopes(code, self.log_scale)[1]
-        return Linear(self.parts, c, light, self.unknowns.modes.moved(slope))
+        return Linear(c, light, self.unknowns.modes.moved(slope), self.seen)
 
     def stepped(
         self, materials: RegionMaterials, at: Linear, step: torch.Tensor
@@ -176,26 +134,30 @@ class Search:
         there = self.linear(damped(at.c, step))
         return self.pieces(materials, there), there
 
-    def piece(self, r: int, materials: RegionMaterials, at: Linear) -> Piece:
-        """Region r with materials, its colour fitted to this light."""
-        model = RowModel(self.parts[r], self.noise[r])
-        metallic = float(materials.metallic[0])
-        light, modes = at.lobes(r, int(materials.roughness[0]))
-        U, W = mix(light, metallic)
+    def pieces(
+        self, materials: RegionMaterials, at: Linear, regions: list[int] | None = None
+    ) -> list[Piece]:
+        """Regions, each at its part of the materials, with colours fitted to this light; all
+        regions if not given. A region may come several times.
+        """
+        regions = list(range(len(self.rows))) if regions is None else regions
+        data = self.rows.of(tuple(regions))
+        model = RowModel(data, assumed_noise(data, self.saturated))
+        lobes = self.rows.seen(regions, materials)
+        U = (lobes.U @ at.light + lobes.ground_U).numpy().astype(np.float64)
+        W = (lobes.W @ at.light + lobes.ground_W).numpy().astype(np.float64)
         materials = fitted_color(model, materials, U, W)
-        rest = model.rest(U, W, materials)
 
-        H, b = torch.zeros(()), torch.zeros(())
-        for c, whiten in enumerate(whiteners(model, U, W, materials)):
-            u, w = mix(modes[c], metallic)
-            J = whiten(float(materials.color[0, c]) * u + w)
-            r_c = torch.from_numpy(rest[:, c : c + 1].astype(np.float32))
-            H, b = H + J.T @ J, b + J.T @ whiten(r_c)[:, 0]
-        return Piece(materials, float(model.point_values(U, W, materials).sum()), H, b)
-
-    def pieces(self, materials: RegionMaterials, at: Linear) -> list[Piece]:
-        """Every region at its part of the materials."""
-        return [self.piece(r, materials.of([r]), at) for r in range(len(self.parts))]
+        J, r = linearised(model, lobes, at, U, W, materials)
+        values = np.bincount(data.region, model.point_values(U, W, materials), len(regions))
+        ends = np.searchsorted(data.row_region, np.arange(len(regions) + 1))
+        found = []
+        for k, value in enumerate(values):
+            rows = slice(*ends[k : k + 2])
+            mine = J[:, rows].reshape(-1, J.shape[2])
+            b = mine.T @ r[:, rows].reshape(-1)
+            found.append(Piece(materials.of([k]), float(value), mine.T @ mine, b))
+        return found
 
     def draw_material(
         self,
@@ -208,23 +170,16 @@ class Search:
         """One roughness and a metallic of `kinds` for all regions of `group`, or what they have, by
         evidence: materials of all regions, and the light's step that goes with it (K,).
         """
-        lobes = self.parts[0].lobes
+        lobes = self.lobes
         choices = [
             (step, m)
             for step in range(0, len(lobes.roughness), BETWEEN)
             for m in kinds
             if m <= lobes.most_metallic[step]
         ]
-
-        def changed(choice: tuple[int, float]) -> list[Piece]:
-            return [
-                self.piece(r, p.materials.made_of(*choice), at) if r in group else p
-                for r, p in enumerate(pieces)
-            ]
-
         found = []
-        for candidate in [pieces] + [changed(choice) for choice in choices]:
-            step, gain = light_step(candidate, at.c)
+        for candidate in [pieces] + self.changed(group, choices, pieces, at):
+            step, gain = light_step(candidate, at)
             prior = log_prior(joined(candidate), lobes.roughness) + shared(candidate, len(choices))
             evidence = gain + sum(p.value for p in candidate) + prior
             found.append((evidence, candidate, step))
@@ -232,11 +187,26 @@ class Search:
         _, chosen, step = found[categorical(odds, rng)[0]]
         return joined(chosen), step
 
+    def changed(
+        self, group: list[int], choices: list[tuple[int, float]], pieces: list[Piece], at: Linear
+    ) -> list[list[Piece]]:
+        """`pieces` with the regions of `group` at every choice of roughness step and metallic."""
+        of_group = joined([pieces[r] for r in group])
+        asked = RegionMaterials.joined([of_group.made_of(*choice) for choice in choices])
+        new = iter(self.pieces(asked, at, group * len(choices)))
+        found = []
+        for _ in choices:
+            candidate = list(pieces)
+            for r in group:
+                candidate[r] = next(new)
+            found.append(candidate)
+        return found
+
     def settled(self, materials: RegionMaterials, at: Linear) -> tuple[list[Piece], Linear]:
         """Pieces of all regions' materials after a few steps of the light alone."""
         pieces = self.pieces(materials, at)
         for _ in range(LIGHT_FIRST):
-            pieces, at = self.stepped(joined(pieces), at, light_step(pieces, at.c)[0])
+            pieces, at = self.stepped(joined(pieces), at, light_step(pieces, at)[0])
         return pieces, at
 
     def sweep(
@@ -266,8 +236,8 @@ class Search:
         for weight in (FEW, 1.0):
             pieces, at = self.counting_saturated(weight).settled(materials, at)
             materials = joined(pieces)
-        evidence = light_step(pieces, at.c)[1] + sum(p.value for p in pieces)
-        prior = log_prior(materials, self.parts[0].lobes.roughness)
+        evidence = light_step(pieces, at)[1] + sum(p.value for p in pieces) + at.value
+        prior = log_prior(materials, self.lobes.roughness)
         return evidence + prior, materials, at.c
 
     def run(
@@ -283,7 +253,7 @@ class Search:
         apart, and which is the true one a light of 16 rows cannot say: it is too smooth to show a
         bright lamp, and so would have every gloss a metal. So the last two stay of their kind here.
         """
-        regions = len(self.parts)
+        regions = len(self.rows)
         flat = self.linear(torch.zeros(self.unknowns.size))
         starts = [(materials, flat.c, FEW, CANDIDATES)]
         for metallic in CANDIDATES:
@@ -305,7 +275,7 @@ class Search:
         """The materials with all regions of one metallic and one roughness of UNIFORM, as far as
         there are such.
         """
-        most = self.parts[0].lobes.most_metallic
+        most = self.lobes.most_metallic
         steps = sorted({min(step, len(most) - 1) for step in UNIFORM})
         return [materials.made_of(step, metallic) for step in steps if metallic <= most[step]]
 
@@ -315,10 +285,10 @@ def joined(pieces: list[Piece]) -> RegionMaterials:
     return RegionMaterials.joined([p.materials for p in pieces])
 
 
-def light_step(pieces: list[Piece], c: torch.Tensor) -> tuple[torch.Tensor, float]:
-    """Newton step (K,) of the light's coefficients at c, and b' H^-1 b / 2 - log det H / 2."""
-    factor = cholesky(torch.eye(len(c)) + sum(p.H for p in pieces))
-    slope = sum(p.b for p in pieces) - c
+def light_step(pieces: list[Piece], at: Linear) -> tuple[torch.Tensor, float]:
+    """Newton step (K,) of the light's coefficients, and b' H^-1 b / 2 - log det H / 2."""
+    factor = cholesky(torch.eye(len(at.c)) + sum((p.H for p in pieces), at.H))
+    slope = sum((p.b for p in pieces), at.b) - at.c
     step = torch.cholesky_solve(slope[:, None], factor)[:, 0]
     return step, 0.5 * float(slope @ step) - float(factor.diagonal().log().sum())
 
@@ -336,16 +306,39 @@ def damped(c: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
     return c + step * min(1.0, LONGEST / max(float(step.abs().max()), 1e-9))
 
 
+def linearised(
+    model: RowModel,
+    lobes: Seen,
+    at: Linear,
+    U: np.ndarray,
+    W: np.ndarray,
+    materials: RegionMaterials,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Whitened rows J (3, n, K) and r (3, n) at a light of which the lobes see U and W (n, 3)."""
+    color = torch.from_numpy(materials.color[model.data.row_region].astype(np.float32))
+    rest = torch.from_numpy(model.rest(U, W, materials).astype(np.float32))
+    J, r = [], []
+    for c, whiten in enumerate(whiteners(model, U, W, materials)):
+        T = torch.addcmul(lobes.W, color[:, c : c + 1], lobes.U)
+        J.append(whiten(T @ at.moved[c].T))
+        r.append(whiten(rest[:, c : c + 1])[:, 0])
+    return torch.stack(J), torch.stack(r)
+
+
 def fitted_color(
     model: RowModel, materials: RegionMaterials, U: np.ndarray, W: np.ndarray
 ) -> RegionMaterials:
-    """The region's materials with mean and spread of the points' best base colours, U and W (n, 3)
-    being what its lobes see.
+    """The regions' materials with mean and spread of their points' best base colours, U and W
+    (n, 3) being what the lobes see.
     """
+    region = model.data.region
     precision = model.counted(U, W, materials)
     sums = model.sums(U, model.rest(U, W, materials), precision)
     colors = np.clip(model.colors(*sums, materials)[0], 1e-3, 1.2)
-    color, spread = materials.color.copy(), materials.spread.copy()
-    color[0] = np.clip(colors.mean(0), 0.01, 0.95)
-    spread[0] = np.clip((colors.std(0) / color[0]).mean(), 0.05, 1.5)
-    return replace(materials, color=color, spread=spread)
+
+    first = np.searchsorted(region, np.arange(len(materials)))
+    means = lambda x: np.add.reduceat(x, first, axis=0) / np.bincount(region)[:, None]
+    mean = means(colors)
+    color = np.clip(mean, 0.01, 0.95)
+    deviation = np.sqrt(means((colors - mean[region]) ** 2))
+    return replace(materials, color=color, spread=np.clip((deviation / color).mean(1), 0.05, 1.5))

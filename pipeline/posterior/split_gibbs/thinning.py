@@ -36,9 +36,17 @@ def thinning(model: Model) -> Kernel:
 
 
 def explained(rng: Randomness, model: Model, state: State) -> float:
-    """Log odds of how well a state of the start explains the rows, thinned as in the search."""
+    """Log odds of how well a state of the start explains the rows that it was not told of, taken
+    for all rows and thinned as in the search, and what is seen of the light. Where it was told of
+    all rows, of how well it explains those.
+    """
     rows, U, W, colors = drawn_colors(rng, model, state)
-    return log_noise(rows.model, U, W, colors) / THINNING
+    data = model.data
+    asked = np.ones_like(data.told) if data.told.all() else ~data.told
+    judge = replace(rows.model, data=replace(data, told=asked))
+    of_all = log_noise(judge, U, W, colors) / asked.mean()
+    light = model.decoder(model.gaussian).light(state.code, state.log_scale)
+    return of_all / THINNING + data.seen_light.value(light)
 
 
 def drawn_colors(

@@ -41,7 +41,7 @@ class World:
         self.P = rng.uniform(0, 1, (n, texels)) / texels
         self.q, self.s = rng.normal(size=(2, n, texels)) / texels
         self.rgb = rng.uniform(0.5, 4, (n, 3)).astype(np.float32)
-        self.clipped = rng.random(n) < clipped_share
+        self.clipped = rng.random((n, 3)) < clipped_share
         self.view = rng.integers(VIEWS, size=n)
         root = rng.normal(size=(CODES, 2 * CODES)) * 0.5 / np.sqrt(2 * CODES)
         self.covariance = root @ root.T
@@ -190,16 +190,19 @@ class Reference:
         first, square = moments[0] / (1 - 0.9**step), moments[1] / (1 - second**step)
         return value - rate * first / (np.sqrt(square) + 1e-8)
 
-    def move_materials(self, slopes: dict, rates: dict) -> None:
-        """A step of Adam into the valid sets; roughness and metallic move as smooth fields."""
+    def move_materials(self, slopes: dict, rates: dict, code: bool = False) -> None:
+        """A step of Adam into the valid sets; roughness and metallic move as smooth fields. code:
+        as released, without either limit above of base colour or smoothing.
+        """
         self.steps += 1
         low = {"base_color": 0, "roughness": ROUGHNESS_MIN, "metallic": 0}
-        high = {"base_color": 0.98, "roughness": 1, "metallic": 1}
+        high = {"base_color": np.inf if code else 0.98, "roughness": 1, "metallic": 1}
+        second = 0.999 if code else 0.99
         for n in PARTS[1:]:
             slope = slopes[n]
-            if n != "base_color":
+            if n != "base_color" and not code:
                 slope = ndimage.gaussian_filter(slope, 0.5, mode="mirror", radius=2)
-            moved = self.adam(self.values[n], self.moments[n], slope, rates[n], self.steps, 0.99)
+            moved = self.adam(self.values[n], self.moments[n], slope, rates[n], self.steps, second)
             self.values[n] = np.clip(moved, low[n], high[n])
 
     def relative_loss(self, index, light) -> tuple[float, dict]:
@@ -208,7 +211,7 @@ class Reference:
         """
         y = self.world.rgb[index].astype(float)
         r = (self.world.radiance(index, {"light": light} | self.values) - y) / (y + 0.1)
-        r = np.where(self.world.clipped[index, None] & (r > 0), 0, r)
+        r = np.where(self.world.clipped[index] & (r > 0), 0, r)
         return (r**2).mean(), self.world.pulled_back(index, 2 * r / (y + 0.1) / r.size)
 
     def norm_loss(self, index, light, indoor: bool) -> dict:
@@ -216,9 +219,16 @@ class Reference:
         y = self.world.rgb[index].astype(float)
         L = self.world.radiance(index, {"light": light} | self.values)
         r = np.log((1 + L) / (1 + y)) if indoor else L - y
-        r = np.where(self.world.clipped[index, None] & (r > 0), 0, r)
+        r = np.where(self.world.clipped[index] & (r > 0), 0, r)
         slope = r / np.sqrt((r**2).sum())
         return self.world.pulled_back(index, slope / (1 + L) if indoor else slope)
+
+    def square_loss(self, index, light) -> dict:
+        """Derivatives of the mean of (L - y)^2."""
+        y = self.world.rgb[index].astype(float)
+        r = self.world.radiance(index, {"light": light} | self.values) - y
+        r = np.where(self.world.clipped[index] & (r > 0), 0, r)
+        return self.world.pulled_back(index, 2 * r / r.size)
 
     def to_code(self, slope, radiance) -> np.ndarray:
         """Derivative in the code (3, H, W) from that in the light (H, W, 3)."""
@@ -269,8 +279,8 @@ def released(world, settings, seed) -> dict:
     r, indoor = Reference(world, settings, seed), settings.label == "indoor"
     r.values["base_color"] = np.full((TEXTURE, TEXTURE, 3), 0.01)
     x = r.normal()
-    for k, (t, s) in enumerate(r.levels()):
-        columns = int(r.rng.integers(W))
+    for t, s in r.levels():
+        columns = int(r.rng.integers(3)) if t / 1000 < 0.9 else 0
         x = np.roll(x, columns, 2)
         x0 = r.denoised(x / np.sqrt(r.alpha_bar[t]), r.sigma(t))
         shake = torch.rand((1, 3, H, W), generator=r.noise).numpy()[0]
@@ -291,11 +301,13 @@ def released(world, settings, seed) -> dict:
         x = np.roll(r.next_code(x, x0, t, s) - 2 * weight * gradient, -columns, 2)
 
         r.step_seed()
-        slopes = r.norm_loss(other, light, indoor)
-        r.move_materials(slopes, {"base_color": 0.02, "roughness": 0.015, "metallic": 0.01})
-        if (k + 1) % 50 == 0:
+        slopes = r.square_loss(other, np.roll(r.radiance(x0), -columns, 1))
+        rates = {"base_color": 0.02, "roughness": 0.015, "metallic": 0.01}
+        r.move_materials(slopes, rates, code=True)
+        if int(t / 1000 * 1000 + 1e-9) % 1.5 == 0:
             for n in ("base_color", "roughness"):
-                r.values[n] = r.values[n] / max(r.values[n].max(), 0.2)
+                r.values[n] = r.values[n] / r.values[n].max()
+    r.values["base_color"] = np.minimum(r.values["base_color"], 1)
     return r.result(x)
 
 

@@ -67,24 +67,26 @@ def test_whitened_rows_have_the_likelihoods_curvature(rows, light):
 
 
 def test_saturated_rows_are_lower_bounds(rows, light):
-    """Colours known: under a light too dark they count like any row; under one so bright that they
-    are explained they say nothing, nor does their slope.
+    """Colours known, one channel of some rows saturated: under a light too dark it counts like any;
+    under one so bright that it is explained it says nothing, nor does its slope.
     """
     plain = flat(rows)
-    clipped = np.arange(len(rows.data.observed)) % 3 == 0
+    clipped = np.arange(rows.data.observed.size).reshape(-1, 3) % 4 == 0
     bounded = with_data(plain, clipped=clipped)
     dark, bright = 1e-3 * light, 1e3 * light
     assert np.isclose(bounded.value(dark), plain.value(dark))
     assert torch.allclose(bounded.residual(dark), plain.residual(dark))
-    assert (bounded.residual(bright)[:, clipped] == 0).all()
-    assert (bounded.residual(bright)[:, ~clipped] != 0).all()
+    assert (bounded.residual(bright)[clipped.T] == 0).all()
+    assert (bounded.residual(bright)[~clipped.T] != 0).all()
 
-    ones = torch.ones(3, len(clipped))
+    ones = torch.ones(clipped.T.shape)
     slope = bounded.adjoint(bright, ones)[0]
-    only = bounded.adjoint(bright, ones * torch.from_numpy(~clipped))[0]
+    only = bounded.adjoint(bright, ones * torch.from_numpy(~clipped.T))[0]
     assert torch.allclose(slope, only)
 
-    weight = np.where(clipped, rows.noise.weight * 2, rows.noise.weight)
+    clipped = np.repeat(np.arange(len(clipped))[:, None] % 3 == 0, 3, 1)
+    bounded = with_data(plain, clipped=clipped)
+    weight = np.where(clipped.any(1), rows.noise.weight * 2, rows.noise.weight)
     heavier = replace(bounded, noise=replace(rows.noise, weight=weight))
     assert not np.isclose(heavier.value(dark), plain.value(dark))
     before = bounded.value(bright)

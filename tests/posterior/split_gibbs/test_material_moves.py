@@ -54,7 +54,7 @@ SILENT = SimpleNamespace(
         region=np.array([0, 1]),
         row_region=np.array([0, 1]),
         observed=np.array([[0.3, 0.2, 0.1], [0.6, 0.6, 0.6]]),
-        clipped=np.zeros(2, bool),
+        clipped=np.zeros((2, 3), bool),
         rows=SimpleNamespace(point=np.array([0, 1])),
         lobes=SimpleNamespace(
             roughness=ROUGHNESS, most_metallic=MOST_METALLIC, blurred=np.arange(8)[:, None]

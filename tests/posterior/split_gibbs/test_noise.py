@@ -23,7 +23,7 @@ class Residuals(RowModel):
     """Rows of which only the squared relative residuals (n, 3) are given."""
 
     def __init__(self, relative, explained, clipped, scale=1.0, effect=1.0):
-        data = type("Data", (), {"clipped": clipped})
+        data = type("Data", (), {"unbounded": ~clipped})
         super().__init__(data, Noise(scale, np.ones(len(relative)), effect))
         object.__setattr__(self, "found", (np.where(explained, 0, relative), explained))
 
@@ -36,7 +36,7 @@ def test_noise_density_is_students_t():
     unexplained one less than nothing.
     """
     relative = np.random.default_rng(0).normal(size=(50, 3)) ** 2
-    none, plain = np.zeros((50, 3), bool), np.zeros(50, bool)
+    none = np.zeros((50, 3), bool)
 
     def density(scale, explained, clipped):
         return log_noise(Residuals(relative, explained, clipped, scale), None, None, None)
@@ -45,10 +45,10 @@ def test_noise_density_is_students_t():
         t = stats.multivariate_t(np.zeros(3), scale**2 * np.eye(3), df=NU)
         return t.logpdf(np.sqrt(relative)).sum()
 
-    difference = density(0.5, none, plain) - density(2.0, none, plain)
+    difference = density(0.5, none, none) - density(2.0, none, none)
     assert np.isclose(difference, students_t(0.5) - students_t(2.0))
-    first = np.arange(50) == 0
-    assert density(0.01, none, first) < density(0.01, none | first[:, None], first)
+    first = np.repeat(np.arange(50)[:, None] == 0, 3, 1)
+    assert density(0.01, none, first) < density(0.01, first, first)
 
 
 def uniform_p(values: np.ndarray) -> float:
@@ -81,13 +81,14 @@ def test_colours_are_drawn_from_their_conditional(rows, light):
 @pytest.mark.parametrize("kappa", [1.0, 2.5])
 def test_noise_is_drawn_from_its_conditionals(kappa):
     """lambda_i ~ Gamma((NU + channels that count) / 2, (NU + sum of their squares / eta^2) / 2),
-    then eta^2 of the rows that are not saturated ~ inverse gamma, its prior's shape 1 and scale
+    then eta^2 of the values that are not saturated ~ inverse gamma, its prior's shape 1 and scale
     1e-4: both through their distribution functions, uniform over 4000 draws.
     """
     rng, eta = np.random.default_rng(0), 0.02
     relative = eta**2 * rng.chisquare(1, size=(5, 3))
-    clipped = np.arange(5) >= 3
-    free = clipped[:, None] & np.array([False, True, True])  # explained in two channels
+    clipped = np.zeros((5, 3), bool)
+    clipped[2, 0] = clipped[3:] = True
+    free = clipped & np.array([False, True, True])  # explained in two channels
     free[4] = True
     model = Residuals(relative, free, clipped, eta, kappa)
     draws = [draw_noise(model, None, None, None, rng) for _ in range(4000)]
@@ -100,8 +101,8 @@ def test_noise_is_drawn_from_its_conditionals(kappa):
     uniform = stats.gamma.cdf(weights, shape, scale=1 / rate)
     assert min(uniform_p(row) for row in uniform.T) > 0.01 / 5
 
-    square = (weights[:, :3] * relative[:3].sum(1)).sum(1) / kappa
-    law = stats.invgamma(9 / (2 * kappa) + 1, scale=square / 2 + 1e-4)
+    square = (weights @ np.where(clipped, 0, relative).sum(1)) / kappa
+    law = stats.invgamma(8 / (2 * kappa) + 1, scale=square / 2 + 1e-4)
     assert uniform_p(law.cdf(etas**2)) > 0.01
 
 

@@ -8,6 +8,7 @@ import torch
 from pipeline.posterior.split_gibbs import start_search
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.lobes import BETWEEN
+from pipeline.posterior.split_gibbs.search_rows import SearchRows
 from pipeline.posterior.split_gibbs.start_search import Search
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
 from pipeline.prior.value_code import Code
@@ -47,3 +48,48 @@ def test_search_finds_the_material(rows, monkeypatch):
     assert free.metallic.tolist() == [1, 0]
     assert not dielectric.metallic.any() and metal.metallic.all()
     assert np.abs(free.roughness - truth.roughness).max() <= BETWEEN
+
+
+def test_regions_looked_at_together_are_as_each_alone(rows):
+    """Pieces of regions that come several times, in any order, with other materials each time."""
+    prior, rng = smooth_prior(8, Code(-0.4, 0.7)), np.random.default_rng(5)
+    saturated = rng.random(rows.data.clipped.shape) < 0.1
+    data = replace(rows.data, clipped=saturated, point_weight=rng.random(len(rows.data.region)))
+    search = Search.over(data, prior, 0.0, 40, rng).counting_saturated(0.3)
+    at = search.linear(
+        0.3 * torch.randn(search.unknowns.size, generator=torch.Generator().manual_seed(7))
+    )
+
+    materials = RegionMaterials(
+        rng.uniform(0.1, 0.9, (4, 3)),
+        rng.uniform(0.1, 0.4, 4),
+        np.array([0, 5, 2 * BETWEEN, 3]),
+        np.array([0.0, 1.0, 1.0, 0.0]),
+    )
+    regions = [1, 0, 1, 1]
+    together = search.pieces(materials, at, regions)
+    for k, region in enumerate(regions):
+        (alone,) = search.pieces(materials.of([k]), at, [region])
+        assert np.isclose(together[k].value, alone.value, rtol=1e-5)
+        assert np.allclose(together[k].materials.color, alone.materials.color, rtol=1e-5)
+        assert np.allclose(together[k].materials.spread, alone.materials.spread, rtol=1e-4)
+        assert torch.allclose(together[k].H, alone.H, rtol=1e-3, atol=1e-3 * float(alone.H.max()))
+        assert torch.allclose(together[k].b, alone.b, rtol=1e-3, atol=1e-3 * float(alone.b.max()))
+
+
+def test_rows_of_the_search_are_those_of_its_points(rows):
+    """Every row of a region stays with its point, whatever the order."""
+    data = rows.data
+    some = SearchRows.over(data, 40, np.random.default_rng(6))
+    assert (np.diff(some.data.region) >= 0).all() and (np.diff(some.data.rows.point) >= 0).all()
+
+    twice = some.of((1, 0, 1))
+    assert (twice.region[twice.rows.point] == twice.row_region).all()
+    originals = dict(zip(data.rows.observation, data.rows.point))
+    for part, region in enumerate((1, 0, 1)):
+        point = [originals[o] for o in twice.rows.observation[twice.row_region == part]]
+        assert (data.region[point] == region).all()
+        mine = twice.rows.point[twice.row_region == part]
+        assert len(set(zip(mine, point))) == len(set(mine)) == len(set(point))
+    weights = data.point_weight[[originals[o] for o in twice.rows.observation]]
+    assert (twice.point_weight[twice.rows.point] == weights).all()

@@ -1,0 +1,1 @@
+"""Bad input: cases made by code, each of which must end in a right result or in one message."""

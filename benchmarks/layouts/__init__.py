@@ -1,0 +1,1 @@
+"""Folders of public data sets, turned into scene folders with truth/."""

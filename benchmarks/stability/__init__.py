@@ -1,0 +1,1 @@
+"""Failure modes, each with a knob, a curve and a stated limit."""

@@ -1,0 +1,110 @@
+"""Seconds against accuracy: points of the charts, their Pareto front, and what to choose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.study.intervals import paired
+from benchmarks.study.methods import OURS
+from benchmarks.study.tables import (
+    coverage_error,
+    mean_of,
+    methods_in,
+    scene_mean,
+    scenes_in,
+    seconds,
+)
+
+CORES = 2  # draws are made on one thread each, two at a time
+
+
+@dataclass
+class Point:
+    """A method in a chart: seconds of a draw on two cores, its value, half its interval's ends."""
+
+    method: str
+    seconds: float
+    value: float
+    low: float
+    high: float
+
+
+def relight_points(data: dict) -> list[Point]:
+    """Relight PSNR in dB, mean over scenes, with the bootstrap interval over scenes of the
+    difference from ours: what scenes have in common drops out.
+    """
+    out = []
+    scenes = scenes_in(data)
+    for method in methods_in(data):
+        mean = mean_of(data, method, "relight_psnr")
+        if mean is None:
+            continue
+        values = [scene_mean(data, scene, method, "relight_psnr") for scene in scenes]
+        ours = [scene_mean(data, scene, OURS, "relight_psnr") for scene in scenes]
+        reach = (0.0, 0.0)
+        if None not in ours and method != OURS:
+            middle, low, high = paired(np.array(values), np.array(ours))
+            reach = (0.0, 0.0) if np.isnan(low) else (middle - low, high - middle)
+        out.append(Point(method, seconds(data, method) / CORES, mean, *reach))
+    return out
+
+
+def coverage_points(data: dict) -> list[Point]:
+    """Distance of the share that 80 % intervals hold from 80 %."""
+    found = {method: coverage_error(data, method) for method in methods_in(data)}
+    return [
+        Point(method, seconds(data, method) / CORES, error, 0, 0)
+        for method, error in found.items()
+        if error is not None
+    ]
+
+
+def front(points: list[Point], higher: bool) -> list[Point]:
+    """Those that no other one beats in both seconds and value, fastest first."""
+    best: list[Point] = []
+    sign = 1 if higher else -1
+    for point in sorted(points, key=lambda p: (p.seconds, -sign * p.value)):
+        if not best or sign * point.value > sign * best[-1].value:
+            best.append(point)
+    return best
+
+
+def choice(points: list[Point], higher: bool, unit: str, what: str) -> str:
+    """Which method to choose, in one sentence."""
+    if not points:
+        return f"For {what} nothing can be said yet: no method has rows for it in every scene."
+    best = front(points, higher)
+    say = lambda p: f"`{p.method}` ({p.seconds:.1f} s, {p.value:.{1 if unit else 2}f}{unit})"
+    if len(points) == 1:
+        return f"For {what} only {say(best[0])} has rows in every scene: there is no choice yet."
+    if len(best) == 1:
+        return f"For {what} choose {say(best[0])}: nothing here is faster, nor better."
+    middle = f"; between them lie {', '.join(map(say, best[1:-1]))}" if len(best) > 2 else ""
+    return (
+        f"For {what} choose {say(best[-1])} if its time is there, {say(best[0])} if it is not"
+        f"{middle}."
+    )
+
+
+def relight_choice(data: dict) -> str:
+    return choice(relight_points(data), True, " dB", "views under new light")
+
+
+def coverage_choice(data: dict) -> str:
+    return choice(coverage_points(data), False, "", "intervals that hold what they promise")
+
+
+def speed_against(data: dict, slow: str = "dpi_paper_1000") -> str:
+    """How many times as long as our presets another method takes on the scenes it has rows of,
+    refinement included, in one sentence.
+    """
+    scenes = {row["scene"] for row in data["rows"] if row["method"] == slow}
+    same = {"rows": [row for row in data["rows"] if row["scene"] in scenes]}
+    ours = [method for method in methods_in(same) if method.startswith("split_gibbs")]
+    if not ours:
+        return f"`{slow}` has no rows yet."
+    times = [f"{seconds(same, slow) / seconds(same, m):.1f} times as long as `{m}`" for m in ours]
+    count = f"{len(scenes)} scene" + "s" * (len(scenes) > 1)
+    return f"On {count} `{slow}` takes {', and '.join(times)}, refinement included."

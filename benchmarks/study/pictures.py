@@ -1,0 +1,108 @@
+"""What methods make of a scene: its light, a held-out view, and that view under other lights.
+
+python -m benchmarks.study.pictures --out STUDY --scene xs_rounded_case__sunny_1 \\
+    --methods split_gibbs_draft,dpi_paper --to docs/study_xs_case.jpg
+
+STUDY is the folder of benchmarks.study. A row for the truth, then one for each method's first draw;
+numbers are PSNR in dB of the picture above them (of the light: as log radiance).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+
+from matplotlib import pyplot
+
+from benchmarks.study.charts import STYLE
+from benchmarks.study.methods import methods_named
+from pipeline.base.errors import run_stage
+from pipeline.base.files import atomic_path, read_json
+from pipeline.base.images import linear_to_srgb
+from pipeline.render.envmap import resample_area
+from pipeline.render.light_metrics import tone_mapped
+from pipeline.report.score import LIGHT_ROWS, true_pictures
+from pipeline.report.truth import Truth, load_truth
+
+VIEW = 0  # the held-out view that is shown
+QUALITY = 85  # of the JPEG
+CELL = 1.45  # inches of a picture's side
+Row = tuple[str, list[tuple[np.ndarray, str]]]  # its name, and pictures (h, w, 3) with their text
+
+
+def shown_names(truth: Truth) -> list[str]:
+    """The pictures of the view, in the scene's light and in others."""
+    view = truth.views[VIEW].view.name
+    return [name for name in true_pictures(truth) if name.endswith(f"/{view}")]
+
+
+def inside(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """As sRGB on white."""
+    return linear_to_srgb(np.where(mask[..., None], np.maximum(pixels, 0), 1))
+
+
+def true_row(truth: Truth) -> Row:
+    pictures = true_pictures(truth)
+    cells = [(tone_mapped(resample_area(truth.known_light(), LIGHT_ROWS, 2 * LIGHT_ROWS)), "")]
+    for name in shown_names(truth):
+        known, shown, _ = pictures[name]
+        kind, *rest = name.split("/")
+        cells.append((inside(shown.mean, known.mask), rest[0] if kind == "relight" else "its own"))
+    return "truth", cells
+
+
+def row_of(rows: Path, method: str, truth: Truth) -> Row:
+    """A method's first draw, from what benchmarks.study.rows keeps."""
+    scores = read_json(rows / method / "0.json")
+    pack = np.load(rows / method / "0.npz")
+    light = tone_mapped(np.exp(pack["log_light"]))
+    cells = [(light, f"{scores['scores']['light_psnr_log']:.1f} dB")]
+    for name in shown_names(truth):
+        pixels = pack[f"picture/{name}"].astype(np.float32).mean(0)
+        cells.append((inside(pixels, truth.views[VIEW].mask), f"{scores['views'][name]:.1f} dB"))
+    return method, cells
+
+
+def draw(rows: list[Row], to: Path) -> None:
+    """`to`, a JPEG."""
+    columns = len(rows[0][1])
+    wide = [2.0] + [1.0] * (columns - 1)
+    with matplotlib.rc_context(STYLE):
+        size = (CELL * sum(wide) + 0.3, 1.16 * CELL * len(rows))
+        figure, axes = pyplot.subplots(
+            len(rows), columns, figsize=size, width_ratios=wide, layout="constrained"
+        )
+        for line, (name, cells) in zip(axes, rows):
+            for place, (picture, text) in zip(line, cells):
+                place.imshow(np.clip(picture, 0, 1))
+                place.set(xticks=[], yticks=[])
+                place.spines[:].set_visible(False)
+                place.set_xlabel(text, fontsize=7, labelpad=2)
+            line[0].set_ylabel(name, fontsize=7)
+        with atomic_path(to) as path:
+            figure.savefig(path, dpi=100, pil_kwargs={"quality": QUALITY})
+        pyplot.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--scene", required=True)
+    parser.add_argument("--methods", required=True, help="names, with commas between")
+    parser.add_argument("--to", type=Path, required=True)
+    args = parser.parse_args()
+    truth = load_truth(args.out / "scenes" / args.scene)
+    methods = methods_named(args.methods.split(","))
+    rows = [row_of(args.out / "rows" / args.scene, method, truth) for method in methods]
+    draw([true_row(truth), *rows], args.to)
+
+
+if __name__ == "__main__":
+    run_stage(main)

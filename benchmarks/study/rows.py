@@ -1,0 +1,151 @@
+"""Rows of the study: one method's draws of one scene, in a process of its own.
+
+python -m benchmarks.study.rows --photos SCENE --method split_gibbs_draft --seeds 0 1 2 --out FOLDER
+
+Writes FOLDER/<scene>/<method>/<seed>.json, and <seed>.npz beside it with the pictures that figures
+of several draws together are made of. Seeds whose row is there are left alone. One thread, so that
+processor seconds are what a draw takes on an idle machine, and peak memory is the method's own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.scenes import machine
+from benchmarks.study.methods import METHODS, methods_named, scene_for
+from benchmarks.tables import head_commit
+from pipeline.base.errors import run_stage
+from pipeline.base.files import atomic_path, write_json
+from pipeline.base.progress import Bar
+from pipeline.base.runtime import rays_made, set_threads
+from pipeline.posterior.load import load_problem
+from pipeline.posterior.refine import COARSE, refine, units
+from pipeline.posterior.samplers import SAMPLERS
+from pipeline.prior.load import load_prior
+from pipeline.render.envmap import resample_area, sh_coefficients
+from pipeline.render.renderer import Explanation, Renderer
+from pipeline.report.score import MAX_DEPTH, Scored, score_explanation
+from pipeline.report.truth import Truth, load_truth
+
+SPP = 64  # paths per pixel of scored pictures
+SH_ROWS = 32
+
+
+class Clock:
+    """Wall and processor seconds, and rays, of what runs inside `with`."""
+
+    def __enter__(self) -> Clock:
+        self.began = time.perf_counter(), time.process_time(), rays_made()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        wall, processor, rays = self.began
+        self.cost = {
+            "seconds": round(time.perf_counter() - wall, 3),
+            "cpu_seconds": round(time.process_time() - processor, 3),
+            "rays": rays_made() - rays,
+        }
+
+
+def light_unknowns(light: np.ndarray) -> np.ndarray:
+    """SH coefficients (27,) of a light up to order 2."""
+    return sh_coefficients(resample_area(light, SH_ROWS, 2 * SH_ROWS)).ravel()
+
+
+def draw(method: str, scene, folders: dict[str, Path], seed: int) -> tuple[Explanation, dict]:
+    """One refined draw, and what it cost."""
+    prior = load_prior(scene.sample.prior)
+    load = lambda texture: load_problem(
+        folders["observe"],
+        folders["poses"],
+        folders["atlas"],
+        folders["mesh"],
+        scene,
+        texture,
+        prior.height,
+    )
+    start = Explanation.load(folders["fit"])
+    problem = load(scene.sample.texture)
+    with Clock() as sampling:
+        drawn, facts = SAMPLERS[METHODS[method].sampler](problem, prior, start, scene.sample, seed)
+
+    settings = scene.refine
+    full, small = load(settings.texture), load(min(COARSE, settings.texture))
+    with Clock() as refining, Bar(f"refine {seed}", units(settings)) as bar:
+        held = facts.get("scale_drawn", False)
+        final, _ = refine(full, small, drawn, settings, seed, bar, held)
+    return final, {"sample": sampling.cost, "refine": refining.cost}
+
+
+def keep_pictures(path: Path, scored: Scored, x: Explanation) -> None:
+    """What figures of several draws need."""
+    half = {f"picture/{name}": pair.astype(np.float16) for name, pair in scored.pictures.items()}
+    with atomic_path(path) as temporary:
+        np.savez_compressed(
+            temporary,
+            albedo=scored.albedo.astype(np.float16),
+            log_light=scored.log_light,
+            sh=light_unknowns(x.light),
+            **half,
+        )
+
+
+def measure(
+    method: str, photos: Path, work: Path, seeds: list[int], out: Path, keep: Path | None = None
+) -> None:
+    """Write the rows that are not there; keep: folder for the draws themselves,
+    keep/<scene>/<method>/<seed>, where they are wanted.
+    """
+    name = photos.name
+    folders = {s: work / name / s for s in ("observe", "poses", "atlas", "mesh", "fit")}
+    scene = scene_for(method, str(photos))
+    truth: Truth = load_truth(photos)
+    rows = len(truth.known_light())
+    renderer = Renderer(folders["atlas"] / "mesh_uv.ply", scene.refine.texture, rows, MAX_DEPTH)
+
+    for seed in seeds:
+        file = out / name / method / f"{seed}.json"
+        if file.exists():
+            continue
+        final, cost = draw(method, scene, folders, seed)
+        if keep is not None:
+            final.save(keep / name / method / str(seed))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        scored = score_explanation(renderer, final, truth, SPP)
+        keep_pictures(file.with_suffix(".npz"), scored, final)
+        row = {
+            "scene": name,
+            "method": method,
+            "seed": seed,
+            "scores": scored.values,
+            "views": scored.views,
+            "cost": cost,
+            "peak_gib": round(peak, 2),
+            "machine": machine(),
+            "commit": head_commit(),
+        }
+        write_json(file, row)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--photos", type=Path, required=True)
+    parser.add_argument("--method", required=True)
+    parser.add_argument("--seeds", type=int, nargs="+", required=True)
+    parser.add_argument("--work", type=Path, default=Path("work"))
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args()
+    methods_named([args.method])
+    set_threads(1)
+    measure(args.method, args.photos, args.work, args.seeds, args.out)
+
+
+if __name__ == "__main__":
+    run_stage(main)

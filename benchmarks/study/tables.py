@@ -1,0 +1,211 @@
+"""Tables of a study's rows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.markdown import number, pipe_table
+from benchmarks.study.intervals import paired, views_of
+from benchmarks.study.methods import METHODS, OURS
+from pipeline.render.declared import METRICS
+
+SHOWN = (
+    "relight_psnr",
+    "relight_psnr_channel",
+    "novel_view_psnr",
+    "light_psnr_log",
+    "light_psnr_tone_mapped",
+    "sun_degrees",
+    "albedo_mse",
+    "albedo_mse_scalar",
+    "albedo_mse_channel",
+    "roughness_mse",
+    "metallic_mse",
+)
+TOGETHER = (
+    "relight_psnr_of_mean",
+    "crps_relight",
+    "crps_albedo",
+    "variance_albedo",
+    "variance_light",
+)
+DIFFERENCES = (
+    "relight_psnr",
+    "novel_view_psnr",
+    "light_psnr_log",
+    "albedo_mse_scalar",
+    "albedo_mse_channel",
+)
+
+
+def methods_in(data: dict) -> list[str]:
+    """In the order of METHODS."""
+    found = {row["method"] for row in data["rows"]}
+    return [name for name in METHODS if name in found]
+
+
+def scenes_in(data: dict) -> list[str]:
+    return list(dict.fromkeys(row["scene"] for row in data["rows"]))
+
+
+def rows_for(data: dict, scene: str, method: str) -> list[dict]:
+    return [r for r in data["rows"] if (r["scene"], r["method"]) == (scene, method)]
+
+
+def drawn(data: dict, scene: str, method: str) -> dict:
+    """Scores of the draws together; empty where there is one draw only."""
+    found = [r for r in data["together"] if (r["scene"], r["method"]) == (scene, method)]
+    return found[0]["scores"] if found else {}
+
+
+def scene_mean(data: dict, scene: str, method: str, key: str) -> float | None:
+    """A score's mean over the draws of a scene; None without any."""
+    rows = rows_for(data, scene, method)
+    if not rows:
+        return None
+    if key in TOGETHER:
+        return drawn(data, scene, method).get(key)
+    return float(np.mean([row["scores"][key] for row in rows]))
+
+
+def mean_of(data: dict, method: str, key: str) -> float | None:
+    """Mean over scenes; None where a scene lacks it, so that means are of the same scenes."""
+    found = [scene_mean(data, scene, method, key) for scene in scenes_in(data)]
+    known = [value for value in found if value is not None]
+    return float(np.mean(known)) if len(known) == len(found) else None
+
+
+def seconds(data: dict, method: str) -> float:
+    """Processor seconds of a draw with its refinement, mean over scenes and draws."""
+    costs = [row["cost"] for row in data["rows"] if row["method"] == method]
+    return float(np.mean([c["sample"]["cpu_seconds"] + c["refine"]["cpu_seconds"] for c in costs]))
+
+
+def coverage_of(data: dict, method: str, nominal: str = "80%") -> float | None:
+    """Share held by intervals, mean over kinds of unknowns and scenes."""
+    found = [drawn(data, scene, method).get("coverage") for scene in scenes_in(data)]
+    if not all(found):
+        return None
+    return float(np.mean([group[nominal] for held in found for group in held.values()]))
+
+
+def coverage_error(data: dict, method: str) -> float | None:
+    """How far the 80 % intervals are from holding 80 %: mean over scenes and kinds of unknowns."""
+    found = [drawn(data, scene, method).get("coverage") for scene in scenes_in(data)]
+    if not all(found):
+        return None
+    shares = [group["80%"] for held in found for group in held.values()]
+    return float(np.mean(np.abs(np.array(shares) - 0.8)))
+
+
+def heading(key: str) -> str:
+    metric = METRICS[key]
+    return metric.title + (f", {metric.unit}" if metric.unit else "")
+
+
+def scores(data: dict) -> str:
+    """Every method's means over the scenes."""
+    body = []
+    for method in methods_in(data):
+        cells = [f"`{method}`", number(seconds(data, method))]
+        cells += [number(mean_of(data, method, key), METRICS[key].digits) for key in SHOWN]
+        body.append(cells)
+    return pipe_table(["method", "core s a draw", *(heading(key) for key in SHOWN)], body)
+
+
+def draws(data: dict) -> str:
+    """What several draws say together."""
+    body = []
+    for method in methods_in(data):
+        cells = [f"`{method}`"]
+        cells += [number(mean_of(data, method, key), METRICS[key].digits) for key in TOGETHER]
+        cells += [number(coverage_of(data, method, n), 2) for n in ("50%", "80%", "95%")]
+        if any(cells[1:]):
+            body.append(cells)
+    head = ["method", *(heading(key) for key in TOGETHER), "50 % hold", "80 % hold", "95 % hold"]
+    return pipe_table(head, body)
+
+
+def with_interval(found: tuple[float, float, float], digits: int) -> str:
+    mean, low, high = (number(value, digits) for value in found)
+    return mean if np.isnan(found[1]) else f"{mean} ({low} to {high})"
+
+
+def differences(data: dict) -> str:
+    """Every method less ours, paired by scene, with bootstrap intervals over scenes."""
+    body = []
+    for method in methods_in(data):
+        if method == OURS:
+            continue
+        cells = [f"`{method}`"]
+        for key in DIFFERENCES:
+            pairs = [
+                (scene_mean(data, s, method, key), scene_mean(data, s, OURS, key))
+                for s in scenes_in(data)
+            ]
+            known = np.array([pair for pair in pairs if None not in pair], float)
+            digits = max(METRICS[key].digits, 2)
+            cells.append(with_interval(paired(*known.T), digits) if len(known) else "")
+        body.append(cells)
+    return pipe_table([f"less `{OURS}`", *(heading(key) for key in DIFFERENCES)], body)
+
+
+def by_scene(data: dict) -> str:
+    """Relight PSNR of every scene and method: our draws' mean, then the others' difference from it,
+    with bootstrap intervals over the scene's pictures.
+    """
+    scenes = [scene for scene in scenes_in(data) if rows_for(data, scene, OURS)]
+    mine = {scene: views_of(rows_for(data, scene, OURS), "relight") for scene in scenes}
+    body = [[f"`{OURS}`", *(number(float(mine[scene].mean())) for scene in scenes)]]
+    for method in methods_in(data):
+        if method == OURS:
+            continue
+        cells = []
+        for scene in scenes:
+            rows = rows_for(data, scene, method)
+            found = paired(views_of(rows, "relight"), mine[scene]) if rows else None
+            cells.append(with_interval(found, 1) if found else "")
+        body.append([f"`{method}` less that", *cells])
+    return pipe_table(["relight PSNR, dB", *scenes], body)
+
+
+def levels(data: dict) -> str:
+    """Log of the light's mean radiance over the true one, mean over draws, per scene."""
+    scenes = scenes_in(data)
+    body = []
+    for method in methods_in(data):
+        found = [scene_mean(data, scene, method, "light_level") for scene in scenes]
+        body.append([f"`{method}`", *(number(value, 2) for value in found)])
+    return pipe_table(["log of the light's level", *scenes], body)
+
+
+def mean_cost(rows: list[dict], part: str, key: str) -> float:
+    return float(np.mean([row["cost"][part][key] for row in rows]))
+
+
+def costs(data: dict) -> str:
+    """Seconds, rays and memory."""
+    body = []
+    for method in methods_in(data):
+        rows = [row for row in data["rows"] if row["method"] == method]
+        cells = [f"`{method}`", number(mean_cost(rows, "sample", "cpu_seconds"))]
+        cells.append(number(mean_cost(rows, "refine", "cpu_seconds")))
+        cells.append(number(seconds(data, method) / 2))
+        rays = mean_cost(rows, "sample", "rays") + mean_cost(rows, "refine", "rays")
+        cells += [number(rays / 1e6, 2), number(max(row["peak_gib"] for row in rows), 2)]
+        body.append([*cells, str(len(rows))])
+    head = ["method", "core s: sampling", "refinement", "s a draw on two cores, two at a time"]
+    return pipe_table([*head, "million rays", "peak GiB", "rows"], body)
+
+
+def declarations() -> str:
+    """What every score is taken of."""
+    body = [[m.title, m.unit, m.better, m.space, m.mask, m.scale, "none"] for m in METRICS.values()]
+    return pipe_table(["score", "unit", "better", "space", "where", "scale", "rotation"], body)
+
+
+def printed(data: dict) -> str:
+    """All tables as text."""
+    parts = [("scores", scores), ("draws together", draws), ("less ours", differences)]
+    parts += [("by scene", by_scene), ("costs", costs)]
+    return "\n".join(f"{title}\n\n{make(data)}" for title, make in parts)

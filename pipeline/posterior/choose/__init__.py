@@ -1,0 +1,1 @@
+"""How much model a scene needs, decided from its photos and surface before anything is fitted."""

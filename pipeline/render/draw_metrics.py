@@ -1,0 +1,53 @@
+"""How well several draws of a posterior say what is known, and how unsure they are."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+NOMINAL = (0.5, 0.8, 0.95)
+
+
+def coverage(draws: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """Share of the unknowns whose true value (k,) the central interval of draws (n, k) holds, per
+    nominal share.
+
+    A new draw falls between order statistics i and j of n others with probability (j - i) / (n +
+    1), so 9 draws have an 80 % interval between least and greatest; wider ones are Student's
+    predictive intervals.
+    """
+    n = len(draws)
+    out = {}
+    for nominal in NOMINAL:
+        rank = 0.5 * (1 - nominal) * (n + 1)
+        if rank >= 1:
+            low, high = np.quantile(draws, [(rank - 1) / (n - 1), 1 - (rank - 1) / (n - 1)], axis=0)
+        else:
+            deviations = stats.t.ppf(0.5 + 0.5 * nominal, n - 1)
+            reach = deviations * draws.std(0, ddof=1) * np.sqrt(1 + 1 / n)
+            low = draws.mean(0) - reach
+            high = draws.mean(0) + reach
+        out[f"{nominal:.0%}"] = float(((truth >= low) & (truth <= high)).mean())
+    return out
+
+
+def crps(draws: np.ndarray, truth: np.ndarray) -> float:
+    """Continuous ranked probability score of draws (n, k) for true values (k,), mean over them, in
+    their units: E|X - y| - E|X - X'| / 2, with the unbiased estimate of the second term over pairs
+    (Gneiting and Raftery 2007, eq. 21; Ferro 2014). Of one draw it is the absolute error.
+    """
+    n = len(draws)
+    error = np.abs(draws - truth).mean()
+    if n == 1:
+        return float(error)
+
+    rank = 2 * np.arange(1, n + 1) - n - 1
+    pairs = (rank[:, None] * np.sort(draws, axis=0)).sum(0) * 2  # sum over i, j of |x_i - x_j|
+    return float(error - 0.5 * pairs.mean() / (n * (n - 1)))
+
+
+def sample_variance(draws: np.ndarray) -> float:
+    """Unbiased variance between draws (n, k), mean over the unknowns. ValueError for one draw."""
+    if len(draws) < 2:
+        raise ValueError("one draw has no variance")
+    return float(draws.var(0, ddof=1).mean())

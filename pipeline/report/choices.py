@@ -1,0 +1,86 @@
+"""What was chosen of the model, and on which evidence, in plain words."""
+
+from __future__ import annotations
+
+
+def texture_words(decision: dict) -> str:
+    sides, was = decision["chosen"]["refine"], decision["configured"]["refine"]
+    texels = decision["evidence"]["texels_for_one_each_pixel"]
+    return (
+        f"Textures have {sides['texture']} texels a side, {was['texture']} were allowed: at "
+        f"{texels:.0f} a texel is as large as what the median pixel shows. Roughness and metallic "
+        f"have {sides['gloss_texture']} where they are textures."
+    )
+
+
+def bounces_words(decision: dict) -> str:
+    depth, most = (decision[k]["render"]["max_depth"] for k in ("chosen", "configured"))
+    evidence = decision["evidence"]
+    blocked = evidence["hemisphere_blocked_by_the_object"]["mean"]
+    lost = evidence["lost_share_by_max_depth"][str(depth)]
+    return (
+        f"Light is followed over {depth - 1} surface interactions, {most - 1} were allowed: the "
+        f"object hides {100 * blocked:.1f} % of its own sky, and what is left out is "
+        f"{100 * lost:.1f} % of the light."
+    )
+
+
+def light_words(decision: dict) -> str:
+    rows, most = (decision[k]["sample"]["light"] for k in ("chosen", "configured"))
+    needed = decision["evidence"]["rows_told_apart"]
+    if needed is None:
+        return f"The light keeps its {most} rows: the surface was given, without an error."
+    return (
+        f"The light has {rows} rows, {most} were allowed: normals in error blur reflections so "
+        f"much that {needed:.0f} rows hold all that can be seen."
+    )
+
+
+def fit_words(decision: dict) -> str:
+    work, was = decision["chosen"]["fit"], decision["configured"]["fit"]
+    return (
+        f"The fit has {work['steps']} steps of {work['pixels']} pixels and {work['texture']} "
+        f"texels a side, {was['steps']}, {was['pixels']} and {was['texture']} were allowed: every "
+        f"texel is looked at {decision['evidence']['looks_at_a_texel']:.0f} times."
+    )
+
+
+WORDS = {
+    "texture": texture_words,
+    "bounces": bounces_words,
+    "light": light_words,
+    "fit": fit_words,
+}
+
+
+def gloss_words(name: str, found: dict) -> str:
+    """One map of one sample: what it is, and by how much a map is better."""
+    gains = [
+        f"{gain['nats']:+.1f} nats, standard error {gain['standard_error']:.1f}, over {simpler}"
+        for simpler, gain in found["gain_of_the_map"].items()
+    ]
+    what = {"map": "a map", "none": "none", "one value": f"{found.get('value', 0):.2f} everywhere"}
+    return f"{name} is {what[found['chosen']]}: a map gains {'; '.join(gains)}"
+
+
+def choices(facts: dict[str, dict]) -> list[str]:
+    """Sentences on every decision that was taken; none where `choose` is off. facts: stage -> its
+    metrics.
+    """
+    decisions = facts["choose"]["decisions"]
+    out = [
+        words(decisions[name])
+        for name, words in WORDS.items()
+        if "chosen" in decisions.get(name, {})
+    ]
+    for stage, fact in facts.items():
+        found = fact.get("gloss", {}) if stage.startswith("refine") else {}
+        if "why" in found:
+            out.append(f"Sample {stage.split()[1]}: {found['why']}.")
+        elif found:
+            said = [gloss_words(name, found[name]) for name in ("roughness", "metallic")]
+            out.append(
+                f"Sample {stage.split()[1]}, judged by {found['blocks']} blocks of pixels that "
+                f"were held out: {said[0]}; {said[1]}."
+            )
+    return out

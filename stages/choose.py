@@ -1,0 +1,24 @@
+"""Choose: how much model the scene needs, decided from its photos and its surface. With
+`choose: {enabled: true}`; else everything stays as configured.
+"""
+
+from pipeline.base.files import report_metrics, stage_folder
+from pipeline.run.stage import PROBLEM_FOLDERS, Stage, stage
+
+
+def work(s: Stage) -> None:
+    from pipeline.posterior.choose.chosen import FILE, nothing_chosen
+
+    with stage_folder(s.out, FILE) as out:
+        if s.scene.choose.enabled:
+            # loaded here, for it takes seconds that every scene without decisions would pay
+            from pipeline.posterior.choose.decide import Evidence, choose
+
+            found = choose(Evidence(*s.problem_folders), s.scene)
+        else:
+            found = nothing_chosen()
+        report_metrics(out / FILE, found | s.costs())
+
+
+if __name__ == "__main__":
+    stage(__doc__, PROBLEM_FOLDERS, work)

@@ -1,0 +1,190 @@
+"""Tables and charts of a study from rows whose figures are known."""
+
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks.study import __main__ as study
+from benchmarks.study.charts import LABEL_HEIGHT, apart, charts
+from benchmarks.study.front import Point, choice, front, speed_against
+from benchmarks.study.intervals import paired, views_of
+from benchmarks.study.methods import METHODS, OURS, methods_named, scene_for
+from benchmarks.study.pictures import draw
+from benchmarks.study.tables import coverage_error, levels, mean_of, printed, scene_mean, seconds
+from pipeline.base.errors import InputError
+from pipeline.base.files import write_json
+from pipeline.render.declared import METRICS
+
+
+def rows_of(method: str, level: float, cost: float, scenes=("a", "b"), seeds=(0, 1)) -> list[dict]:
+    """Rows of a method whose scores are `level`, one higher in the second scene."""
+    out = []
+    for number, scene in enumerate(scenes):
+        for seed in seeds:
+            scores = dict.fromkeys(METRICS, level + number)
+            part = {"seconds": 3 * cost, "cpu_seconds": cost, "rays": 1000}
+            views = {f"relight/x/test_{k}": level + number + 0.1 * k + seed for k in range(4)}
+            views["novel/test_0"] = 40.0
+            cost_of = {"sample": part, "refine": part}
+            row = {"scene": scene, "method": method, "seed": seed, "scores": scores}
+            out.append(row | {"views": views, "cost": cost_of, "peak_gib": 1.0})
+    return out
+
+
+def together(method: str, held: float, scenes=("a", "b")) -> list[dict]:
+    cover = {kind: {"50%": 0.5, "80%": held, "95%": 0.9} for kind in ("light", "relit", "albedo")}
+    keys = ("relight_psnr_of_mean", "crps_relight", "crps_albedo")
+    scores = dict.fromkeys((*keys, "variance_albedo", "variance_light"), 1.0)
+    scores["coverage"] = cover
+    return [{"scene": scene, "method": method, "scores": scores} for scene in scenes]
+
+
+@pytest.fixture
+def data() -> dict:
+    rows = rows_of(OURS, 20, 5) + rows_of("dpi_paper", 18.5, 60) + rows_of("map", 15, 1, seeds=(0,))
+    return {"rows": rows, "together": together(OURS, 0.7) + together("dpi_paper", 0.4)}
+
+
+def test_means_are_of_scenes_and_only_where_all_have_rows(data):
+    assert mean_of(data, OURS, "relight_psnr") == 20.5
+    assert scene_mean(data, "b", "map", "albedo_mse") == 16
+    assert seconds(data, "dpi_paper") == 120
+    assert coverage_error(data, OURS) == pytest.approx(0.1)
+    assert coverage_error(data, "map") is None
+    data["rows"] = [r for r in data["rows"] if (r["scene"], r["method"]) != ("b", "map")]
+    assert mean_of(data, "map", "relight_psnr") is None
+
+
+def test_tables_hold_paired_differences(data):
+    text = printed(data)
+    line = next(row for row in text.splitlines() if row.startswith("| `dpi_paper` | -1.50"))
+    assert "-1.50 (-1.50 to -1.50)" in line
+    assert "| `map` less that | -5.5 (-5.5 to -5.5) | -5.5 (-5.5 to -5.5) |" in text
+    assert f"| `{OURS}` | 20.6 | 21.6 |" in text
+    assert "nan" not in text
+    assert "| `dpi_paper` | 18.50 | 19.50 |" in levels(data)
+
+
+def test_views_are_paired_by_name():
+    rows = rows_of(OURS, 20, 5, scenes=("a",))
+    np.testing.assert_allclose(views_of(rows, "relight"), 20.5 + 0.1 * np.arange(4))
+
+
+def test_bootstrap_interval_holds_the_mean_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    common = 5 * rng.normal(size=(200, 40))  # what both methods share drops out
+    ours = common + rng.normal(size=common.shape)
+    theirs = common + 0.5 + rng.normal(size=common.shape)
+    found = [paired(a, b) for a, b in zip(theirs, ours)]
+    held = np.mean([low <= 0.5 <= high for _, low, high in found])
+    assert 0.88 <= held <= 0.98
+    assert np.isnan(paired(np.ones(1), np.zeros(1))[1])
+
+
+def test_front_is_what_nothing_beats():
+    make = lambda name, s, v: Point(name, s, v, 0, 0)
+    points = [make("slow", 9, 20), make("fast", 1, 10), make("worse", 5, 9), make("same", 3, 10)]
+    assert [p.method for p in front(points, True)] == ["fast", "slow"]
+    assert [p.method for p in front(points, False)] == ["fast", "worse"]
+    said = choice(points, True, " dB", "views under new light")
+    assert "no choice yet" in choice(points[:1], True, " dB", "views under new light")
+    assert "nothing can be said" in choice([], True, " dB", "views under new light")
+    assert "`slow` (9.0 s, 20.0 dB) if its time is there, `fast` (1.0 s" in said
+
+
+def test_labels_do_not_cover_each_other():
+    heights = apart([0.5, 0.5, 0.49, 0.9])
+    assert heights[2] == 0.49 and heights[3] == 0.9
+    assert min(np.diff(sorted(heights))) >= LABEL_HEIGHT - 1e-9
+    crowded = apart([0.97, 0.98, 0.99, 0.99])
+    assert min(np.diff(sorted(crowded))) >= LABEL_HEIGHT - 1e-9 and max(crowded) < 1
+    assert crowded[0] == min(crowded)
+
+
+def test_speed_counts_refinement(data):
+    assert "`dpi_paper` takes 12.0 times as long as `split_gibbs_draft`" in speed_against(
+        data, "dpi_paper"
+    )
+    assert "no rows" in speed_against(data)
+    data["rows"] += rows_of("dpi_paper_1000", 18, 150, scenes=("b",))
+    data["rows"] += rows_of(OURS, 20, 500, scenes=("c",))  # another scene does not count
+    assert speed_against(data).startswith("On 1 scene `dpi_paper_1000` takes 30.0 times")
+
+
+def test_charts_are_the_same_for_the_same_rows(data, tmp_path):
+    for run in ("one", "two"):
+        (tmp_path / run).mkdir()
+        charts(data, tmp_path / run, "XS")
+    names = sorted(path.name for path in (tmp_path / "one").iterdir())
+    ends = [f"study_xs_{what}.{end}" for what in ("coverage", "relight") for end in ("png", "svg")]
+    assert names == ends
+    for name in names:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    svg = (tmp_path / "one" / "study_xs_relight.svg").read_text()
+    assert "dpi_paper" in svg and OURS in svg
+
+
+def test_every_sampler_is_a_method_and_shares_what_is_not_its_own(tmp_path):
+    scenes = {name: scene_for(name, str(tmp_path)) for name in METHODS}
+    draft = scenes[OURS]
+    for name, scene in scenes.items():
+        assert scene.sample.method == METHODS[name].sampler
+        for part in ("capture", "mesh", "atlas", "observe", "render", "fit", "refine"):
+            assert getattr(scene, part) == getattr(draft, part), name
+    assert draft.sample.points == 170 and scenes["split_gibbs_standard"].sample.points == 250
+    assert scenes["dpi_paper_1000"].sample.steps == 1000
+    label = lambda method, light: scene_for(method, f"a/xs_vase__{light}").sample.label
+    assert [label("dpi_code", light) for light in ("room_4", "sunny_1")] == ["indoor", "outdoor"]
+    assert label("dpi_paper", "room_4") is None
+    with pytest.raises(InputError, match="did you mean 'dpi_paper'"):
+        methods_named(["dpi_papr"])
+
+
+def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    """Rows that are there are not made again; a method that fails leaves its message, and the study
+    says at its end that it is not whole."""
+    ran = []
+
+    def process(command, **options):
+        method = command[command.index("--method") + 1]
+        scene = command[command.index("--photos") + 1].rsplit("/", 1)[-1]
+        ran.append((scene, method))
+        failed = method == "map"
+        if not failed:
+            for seed in ("0", "1"):
+                write_json(tmp_path / "rows" / scene / method / f"{seed}.json", {})
+        return type("Done", (), {"returncode": int(failed), "stderr": "out of luck"})
+
+    monkeypatch.setattr(
+        study, "make_suite", lambda suite, out, only: [tmp_path / "s", tmp_path / "t"]
+    )
+    monkeypatch.setattr(study, "prepare", lambda folder: None)
+    monkeypatch.setattr(study.subprocess, "run", process)
+    command = ["study", "--methods", f"{OURS},map", "--samples", "2", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", command)
+    with pytest.raises(SystemExit, match="2 of 4 methods on scenes failed"):
+        study.main()
+    assert len(ran) == 4
+    assert (tmp_path / "rows" / "s" / "map" / "failed.txt").read_text() == "out of luck"
+    (tmp_path / "rows" / "t" / OURS / "1.json").unlink()
+    ran.clear()
+    with pytest.raises(SystemExit, match="2 of 4"):
+        study.main()
+    assert ran == [("t", OURS), ("s", "map"), ("t", "map")]
+    command[2] = OURS
+    study.main()
+    assert len(ran) == 3
+
+
+def test_pictures_have_a_row_for_the_truth_and_each_method(tmp_path):
+    rng = np.random.default_rng(0)
+    cells = [(rng.random((8, 16, 3)), "1.0 dB"), (rng.random((8, 8, 3)), "2.0 dB")]
+    sizes = []
+    for run, count in (("one", 2), ("two", 2), ("three", 3)):
+        draw([(str(k), cells) for k in range(count)], tmp_path / f"{run}.jpg")
+        with Image.open(tmp_path / f"{run}.jpg") as picture:
+            sizes.append(picture.height)
+    assert (tmp_path / "one.jpg").read_bytes() == (tmp_path / "two.jpg").read_bytes()
+    assert sizes[2] > 1.3 * sizes[0]

@@ -1,0 +1,74 @@
+"""The trust score's model: kinds, fit, leave-scenes-out figures."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from benchmarks import trust_tables
+from benchmarks.trust import auroc, chances, figures, fitted, kind_of, left_out
+from pipeline.base.errors import InputError
+from pipeline.report.trust import Evidence
+
+
+def rows(informative: bool) -> list[dict]:
+    """40 runs of 8 kinds; informative: what is explained tells how well they are relit."""
+    rng = np.random.default_rng(1)
+    out = []
+    for k in range(40):
+        explained = rng.uniform(10, 32)
+        relight = explained - 4 if informative else rng.uniform(8, 28)
+        found = Evidence(rng.uniform(15, 30), explained, rng.uniform(0, 0.5), 0.97)
+        out.append(
+            {
+                "scene": f"s_vase_k{k % 8}_{k // 8}",
+                "kind": f"k{k % 8}",
+                "evidence": asdict(found),
+                "relight_psnr": relight,
+            }
+        )
+    return out
+
+
+def test_kinds_are_scenes_without_values():
+    assert kind_of("s_vase_blur_1p5") == "s_vase_blur"
+    assert kind_of("s_vase_mask_shrunk_m3") == "s_vase_mask_shrunk"
+    assert kind_of("s_vase_sun_1e+05") == "s_vase_sun"
+    assert kind_of("s_vase") == "s_vase"
+
+
+def test_auroc_counts_pairs():
+    failed = np.array([True, True, False, False])
+    assert auroc(np.array([0.9, 0.8, 0.1, 0.2]), failed) == 1
+    assert auroc(np.array([0.5, 0.5, 0.5, 0.5]), failed) == 0.5
+    assert auroc(np.array([0.9, 0.1, 0.5, 0.2]), failed) == 0.5
+
+
+def test_the_fit_finds_what_tells():
+    runs = rows(informative=True)
+    model = fitted(runs)
+    assert model["weights"][1] < 0 and abs(model["weights"][1]) > 3 * abs(model["weights"][0])
+    assert figures(runs)["auroc"] > 0.97
+    with pytest.raises(InputError, match="all runs fail, or none"):
+        fitted([row | {"relight_psnr": 30.0} for row in runs])
+
+
+def test_left_out_kinds_are_judged_unseen():
+    """On evidence that says nothing the score is no better than chance, however well it fits."""
+    runs = rows(informative=False)
+    found = figures(runs)
+    assert 0.2 < found["auroc"] < 0.75 and found["runs"] == 40 and found["kinds"] == 8
+    seen = chances(fitted(runs), runs)
+    assert np.abs(seen - left_out(runs)).max() > 0.01
+
+
+def test_tables_name_the_runs_that_are_judged_wrongly():
+    runs = rows(informative=True)
+    chance, failed = left_out(runs), np.array([row["relight_psnr"] < 18 for row in runs])
+    misjudged = {run["scene"] for run, c, bad in zip(runs, chance, failed) if (c >= 0.5) != bad}
+    assert 0 < len(misjudged) < len(runs)
+    table = trust_tables.wrong(runs)
+    assert {run["scene"] for run in runs if f"`{run['scene']}`" in table} == misjudged
+    assert f"| runs below 18 dB under new light | {failed.sum()} |" in trust_tables.summary(runs)

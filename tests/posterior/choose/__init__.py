@@ -1,0 +1,1 @@
+"""Decisions on how much model a scene needs."""
