@@ -8,13 +8,16 @@ saturated observation is a lower bound: no penalty for being brighter.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
 
 from pipeline.base.config import Sample
+from pipeline.base.runtime import mitsuba_rays
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation, Gradient, LossAndSlope, Renderer
+from pipeline.render.shading_normals import shading_frames
 
 SHADE = 0.1  # radiance (photo white = 1) below which errors count absolutely
 ALBEDO_MAX = 0.98  # a brighter base colour would never come to rest in multi-bounce light
@@ -54,6 +57,13 @@ class Problem:
         self.renderer = renderer
         self.roughness_min = roughness_min
         self.normal_error = normal_error
+
+    @cached_property
+    def shading_normals(self) -> np.ndarray:
+        """Of all observed pixels (n, 3), in the world's frame, with the normal map."""
+        rays = self.observations.centre_rays(np.arange(len(self.observations)))
+        si = self.renderer.scene.ray_intersect(mitsuba_rays(*rays))
+        return shading_frames(si, self.renderer.mesh)[:, 2]
 
     def batch(
         self, pixels: int, spp: int, rng: np.random.Generator, view: int | None = None

@@ -6,11 +6,11 @@ Four steps, one after the other:
 2. Base colour in closed form (base_color.py), from few paths (shading.py); and a brighter light, if
    colours above 1 would be needed under this one.
 3. Roughness, which from here on holds what the mesh's normals miss too (`as_the_mesh_shows`), and
-   metallic. With `gloss: tested` a number takes the place of each map that blocks of pixels, held
-   out up to here, do not ask for (gloss_maps.py). A roughness that stays a map is moved: Adam
-   through the path tracer, on maps of moderate size, because photos say little about their fine
-   detail. The base colour moves along. Where the sampler drew them, roughness stays near the draw
-   and metallic as drawn.
+   metallic. With `gloss: tested` every body of the surface begins matt and keeps as much of the
+   draw's gloss and metal as photos that were left out ask for (ladder.py). A roughness that stays a
+   map is moved: Adam through the path tracer, on maps of moderate size, because photos say little
+   about their fine detail. The base colour moves along. Where the sampler drew them, roughness
+   stays near the draw and metallic as drawn.
 4. Base colour again, with these and at full size.
 """
 
@@ -29,7 +29,7 @@ from pipeline.posterior.base_color import (
     color_map,
     shared_between_photos,
 )
-from pipeline.posterior.gloss_maps import Split, simplest_gloss, split, with_pixels
+from pipeline.posterior.ladder import climb, split, with_pixels
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import Shading, shade
@@ -45,7 +45,9 @@ SCALE_PIXELS = 8  # pixels for the light's scale, as a multiple of a step's
 DARKEST_START = 0.02  # base colour: a black one has no direction to move in
 # factor by which roughness may move from a draw: the width of what one draw believes of a region
 ROUGHNESS_FACTOR = 1.3
-FEWER = 5  # part of the final solve's pixels that do for the first one, on coarse maps
+FEWER = 5  # part of the final solve's traced pixels that do for the first one, on coarse maps
+FEWEST = 10  # the same for the rungs of the ladder
+COARSE_PIXELS = 500_000  # observed pixels, at most, that coarse maps are made from: seven a texel
 COLOR_UNITS = 25  # progress: a base colour solve takes as long as so many of Adam's steps
 
 
@@ -160,19 +162,21 @@ def move_gloss(
     explanation: Explanation,
     settings: Refine,
     near: bool,
-    numbers: list[str],
+    moves: np.ndarray,
     bar: Bar,
     rng: np.random.Generator,
 ) -> Explanation:
     """All three maps after `settings.steps` steps of Adam through the path tracer, light held;
-    near: roughness stays near what it is, and metallic as it is; numbers: maps that stay as they
-    are.
+    near: roughness stays near what it is, and metallic as it is; moves (t, t): texels whose
+    roughness and metallic are moved at all.
     """
     materials = MaterialOptimizer(explanation, settings.learning_rate, problem.roughness_min)
     if near:
         stay_near(materials, explanation)
-    for name in numbers:
-        materials.bounds[name] = getattr(explanation, name), getattr(explanation, name)
+    for name in ("roughness", "metallic"):
+        now = getattr(explanation, name)
+        bounds = (np.where(moves, bound, now) for bound in materials.bounds[name])
+        materials.bounds[name] = tuple(bounds)
 
     losses = []
     for step in range(settings.steps):
@@ -186,33 +190,31 @@ def move_gloss(
     return materials.explanation(explanation.light)
 
 
+def some_pixels(problem: Problem, rng: np.random.Generator) -> np.ndarray:
+    """Numbers of COARSE_PIXELS random observed pixels, in order; of all where there are fewer."""
+    count = len(problem.observations)
+    return np.sort(rng.choice(count, min(COARSE_PIXELS, count), replace=False))
+
+
 def judged_gloss(
-    problem: Problem,
-    explanation: Explanation,
-    parts: Split | None,
-    settings: Refine,
-    rng: np.random.Generator,
-) -> tuple[Explanation, dict]:
-    """With `settings.gloss` "tested" the explanation with roughness and metallic as simple as the
-    judging pixels of `parts` allow (`simplest_gloss`), and what was chosen, as the fact `gloss`;
-    the explanation as it is where there are no such pixels.
+    problem: Problem, explanation: Explanation, settings: Refine, rng: np.random.Generator
+) -> tuple[Explanation, np.ndarray, dict]:
+    """With `settings.gloss` "tested" the explanation with as much gloss and metal as photos ask for
+    (`climb`), which texels (t, t) keep a map of roughness, and what was chosen, as the fact `gloss`;
+    the explanation as it is, all of it as maps, where there are too few photos to judge by.
     """
+    everywhere = np.ones(explanation.roughness.shape, bool)
     if settings.gloss == "maps":
-        return explanation, {}
+        return explanation, everywhere, {}
+    parts = split(problem.observations, rng)
     if parts is None:
-        why = "maps stay: too few blocks of pixels to judge them by"
-        return explanation, {"gloss": {"why": why}}
+        why = "maps stay: too few photos to judge them by"
+        return explanation, everywhere, {"gloss": {"why": why}}
 
-    few = settings.shading_pixels // FEWER
+    few = settings.shading_pixels // FEWEST
     solve = lambda of, x: solve_base_color(of, x, few, rng, USUAL)[0]
-    found, facts = simplest_gloss(problem, explanation, parts, solve, rng)
-    return found, {"gloss": facts}
-
-
-def chosen_numbers(tested: dict) -> list[str]:
-    """Names of the maps that are numbers after `judged_gloss`, whose facts these are."""
-    gloss = tested.get("gloss", {})
-    return [n for n in ("roughness", "metallic") if gloss.get(n, {}).get("chosen", "map") != "map"]
+    found, maps, facts = climb(problem, explanation, parts, solve, rng)
+    return found, maps, {"gloss": facts}
 
 
 def refine(
@@ -250,16 +252,15 @@ def refine(
         scale = light_scale(small, coarse, SCALE_PIXELS * settings.pixels, rng)
     coarse = replace(coarse, light=(sample.light * scale).astype(np.float32))
 
-    parts = split(small.observations, rng) if settings.gloss == "tested" else None
-    kept = with_pixels(small, parts.kept) if parts else small
-    coarse, first = solve_color_and_scale(kept, coarse, settings.shading_pixels // FEWER, rng)
+    some = with_pixels(small, some_pixels(small, rng))
+    few = settings.shading_pixels // FEWER
+    coarse, first = solve_color_and_scale(some, coarse, few, rng)
     bar.step("base colour", COLOR_UNITS)
-    coarse, tested = judged_gloss(small, coarse, parts, settings, rng)
-    numbers = chosen_numbers(tested)
-    if "roughness" in numbers:  # moved pixel by pixel it would become a map again
-        bar.step("gloss as drawn", settings.steps)
+    coarse, moves, tested = judged_gloss(small, coarse, settings, rng)
+    if tested and not moves.any():  # moved pixel by pixel a number would become a map again
+        bar.step("gloss of numbers", settings.steps)
     else:
-        coarse = move_gloss(kept, coarse, settings, drawn, numbers, bar, rng)
+        coarse = move_gloss(small, coarse, settings, drawn, moves, bar, rng)
 
     gloss = settings.gloss_texture or settings.texture
     full = resize_explanation(coarse, settings.texture, gloss)

@@ -16,12 +16,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from pipeline.base.runtime import mitsuba_rays
 from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.textures import gather
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation
-from pipeline.render.shading_normals import shading_frames
 
 PATHS = 2  # through each traced pixel, at least
 MOST_PATHS = 32
@@ -97,11 +95,8 @@ def guides(problem: Problem, explanation: Explanation) -> np.ndarray:
     """What D and S follow (n, 4): the shading normal in the world's frame, with the normal map, and
     metallic.
     """
-    observations = problem.observations
-    rays = observations.centre_rays(np.arange(len(observations)))
-    si = problem.renderer.scene.ray_intersect(mitsuba_rays(*rays))
-    normal = shading_frames(si, problem.renderer.mesh)[:, 2]
-    return np.concatenate([normal, gather(explanation.metallic, observations.uv)], 1)
+    metallic = gather(explanation.metallic, problem.observations.uv)
+    return np.concatenate([problem.shading_normals, metallic], 1)
 
 
 def cell_side(observations: Observations, traced: int, paths: int) -> float:

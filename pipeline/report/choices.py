@@ -53,20 +53,23 @@ WORDS = {
 }
 
 
-def gloss_words(name: str, found: dict) -> str:
-    """One map of one sample: what it is, and by how much a map is better."""
-    gains = [
-        f"{gain['nats']:+.1f} nats, standard error {gain['standard_error']:.1f}, over {simpler}"
-        for simpler, gain in found["gain_of_the_map"].items()
-    ]
-    what = {"map": "a map", "none": "none", "one value": f"{found.get('value', 0):.2f} everywhere"}
-    return f"{name} is {what[found['chosen']]}: a map gains {'; '.join(gains)}"
+def body_words(body: dict, rungs: list[str]) -> str:
+    """One body of one sample: its rung, and what the last step up to it, or none, was worth."""
+    share = f"{100 * body['share']:.0f} % {body['chosen']}"
+    taken = [step for step in body["tried"] if rungs[step["to"]] == body["chosen"]]
+    if taken:
+        step = taken[-1]
+        than = f"more than {rungs[step['from']]}"
+    elif body["tried"]:
+        step = max(body["tried"], key=lambda one: one["nats"] - 2 * one["standard_error"])
+        than = f"by {rungs[step['to']]}"
+    else:
+        return share
+    return f"{share} ({step['nats']:+.0f} nats {than}, standard error {step['standard_error']:.0f})"
 
 
 def choices(facts: dict[str, dict]) -> list[str]:
-    """Sentences on every decision that was taken; none where `choose` is off. facts: stage -> its
-    metrics.
-    """
+    """Sentences on every decision that was taken. facts: stage -> its metrics."""
     decisions = facts["choose"]["decisions"]
     out = [
         words(decisions[name])
@@ -78,9 +81,9 @@ def choices(facts: dict[str, dict]) -> list[str]:
         if "why" in found:
             out.append(f"Sample {stage.split()[1]}: {found['why']}.")
         elif found:
-            said = [gloss_words(name, found[name]) for name in ("roughness", "metallic")]
+            said = [body_words(body, found["rungs"]) for body in found["bodies"]]
             out.append(
-                f"Sample {stage.split()[1]}, judged by {found['blocks']} blocks of pixels that "
-                f"were held out: {said[0]}; {said[1]}."
+                f"Gloss and metal of sample {stage.split()[1]}, judged by {found['blocks']} blocks "
+                f"of {found['photos_left_out']} photos that were left out: {'; '.join(said)}."
             )
     return out

@@ -243,11 +243,15 @@ def test_choices_are_said_with_their_evidence(work):
         "evidence": {"looks_at_a_texel": 40.02},
     }
     write_json(work / "choose" / "choose.json", {"decisions": {"bounces": bounces, "fit": fit}})
-    worth = lambda nats: {"nats": nats, "standard_error": 4.0}
+    step = lambda to, nats: {"from": 0, "to": to, "nats": nats, "standard_error": 4.0}
     gloss = {
+        "photos_left_out": 3,
         "blocks": 70,
-        "roughness": {"chosen": "map", "gain_of_the_map": {"one value": worth(31.0)}},
-        "metallic": {"chosen": "none", "value": 0.0, "gain_of_the_map": {"none": worth(-2.5)}},
+        "rungs": ["matt", "one gloss", "gloss map"],
+        "bodies": [
+            {"share": 0.8, "chosen": "one gloss", "tried": [step(1, 31.0), step(2, 2.0)]},
+            {"share": 0.2, "chosen": "matt", "tried": [step(1, -2.5), step(2, -9.0)]},
+        ],
     }
     refined = read_json(work / "refine" / "1" / "refine.json")
     write_json(work / "refine" / "1" / "refine.json", refined | {"gloss": gloss})
@@ -257,9 +261,9 @@ def test_choices_are_said_with_their_evidence(work):
     assert "hides 3.1 % of its own sky, and what is left out is 1.4 %" in said
     assert "has 120 steps of 1366 pixels and 64 texels a side, 300, 8192 and 256 were" in said
     assert "every texel is looked at 40 times" in said
-    assert "Sample 1, judged by 70 blocks" in said and "Sample 0, judged" not in said
-    assert "roughness is a map: a map gains +31.0 nats, standard error 4.0" in said
-    assert "metallic is none: a map gains -2.5 nats" in said
+    assert "sample 1, judged by 70 blocks of 3 photos" in said and "sample 0, judged" not in said
+    assert "80 % one gloss (+31 nats more than matt, standard error 4)" in said
+    assert "20 % matt (-2 nats by one gloss, standard error 4)" in said
 
 
 def test_samples_needed_follow_from_their_spread(work):

@@ -1,0 +1,210 @@
+"""How much gloss and metal a body keeps, on photos that are rendered from known ones."""
+
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pipeline.base.config import Refine
+from pipeline.base.progress import Bar
+from pipeline.posterior.ladder import (
+    CLEAR,
+    FREEDOM,
+    bodies,
+    climb,
+    climbed,
+    gain,
+    rungs,
+    split,
+    with_pixels,
+)
+from pipeline.posterior.problem import Problem
+from pipeline.posterior.refine import refine, solve_base_color, units
+from pipeline.posterior.textures import gather
+
+RED = [0.6, 0.15, 0.1]
+
+
+def photographed(problem, truth, seed=0):
+    """The problem with photos of `truth` from the same cameras, 128 paths for each pixel."""
+    observations = copy(problem.observations)
+    everywhere = np.arange(len(observations))
+    problem.renderer.set(truth)
+    rays = lambda rng: observations.rays(everywhere, rng)
+    observations.rgb = problem.renderer.mean_radiance(rays, 128, seed)
+    observations.clipped = np.zeros(observations.rgb.shape, bool)
+    return Problem(observations, problem.renderer, problem.roughness_min)
+
+
+def solve(problem, explanation):
+    return solve_base_color(problem, explanation, 4000, np.random.default_rng(0))[0]
+
+
+def found(problem, explanation, seed=1):
+    rng = np.random.default_rng(seed)
+    return climb(problem, explanation, split(problem.observations, rng), solve, rng)
+
+
+@pytest.fixture(scope="module")
+def two_bodies(toy):
+    """The ball grey left of the atlas' middle and red right of it: (truth, its body map)."""
+    truth = toy[1]
+    color = np.full_like(truth.base_color, 0.5)
+    color[:, color.shape[1] // 2 :] = RED
+    return replace(truth, base_color=color), (color[..., 2] < 0.3).astype(int)
+
+
+def with_gloss(truth, body, roughness, metallic):
+    """Roughness and metallic of either body."""
+    pick = lambda pair: np.array(pair, np.float32)[body]
+    return replace(truth, roughness=pick(roughness), metallic=pick(metallic))
+
+
+def large(facts):
+    """The rungs of the bodies that judge more than a tenth of the pixels each."""
+    return {one["chosen"] for one in facts["bodies"] if one["share"] > 0.1}
+
+
+def test_a_matt_thing_keeps_no_metal_and_no_map_whatever_was_drawn(problem, two_bodies):
+    """The draw says gloss and metal in patches; the photos show neither. (A roughness of .6 and one
+    of 1 hardly differ here: either may be taken.)
+    """
+    truth, body = two_bodies
+    matt = with_gloss(truth, body, (1.0, 1.0), (0.0, 0.0))
+    patches = np.random.default_rng(0).random(truth.roughness.shape) < 0.3
+    drawn = replace(
+        matt,
+        roughness=np.where(patches, 0.2, 0.6).astype(np.float32),
+        metallic=patches.astype(np.float32),
+    )
+    simple, maps, facts = found(photographed(problem, matt), drawn)
+    assert large(facts) <= {"matt", "one gloss"} and not maps.any()
+    assert (simple.metallic == 0).all() and simple.roughness.min() > 0.5
+
+
+def test_gloss_that_photos_show_is_kept_as_one_number(problem, two_bodies):
+    truth, body = two_bodies
+    glossy = with_gloss(truth, body, (0.15, 0.15), (0.0, 0.0))
+    noise = np.random.default_rng(0).uniform(-0.03, 0.03, truth.roughness.shape)
+    drawn = replace(glossy, roughness=(glossy.roughness + noise).astype(np.float32))
+    simple, maps, facts = found(photographed(problem, glossy), drawn)
+    assert large(facts) == {"one gloss"} and not maps.any()
+    assert np.median(simple.roughness) == pytest.approx(0.15, abs=0.01)
+
+
+def test_metal_that_photos_show_stays_and_metal_that_they_do_not_show_goes(problem, two_bodies):
+    """The draw has metal on both bodies, the truth on the red one alone."""
+    truth, body = two_bodies
+    half_metal = with_gloss(truth, body, (0.9, 0.25), (0.0, 1.0))
+    drawn = with_gloss(truth, body, (0.9, 0.25), (1.0, 1.0))
+    simple, _, _ = found(photographed(problem, half_metal), drawn)
+    uv = problem.observations.uv
+    at = lambda image: gather(image.astype(np.float32), uv)[:, 0]
+    inner = abs(at(body) - 0.5) > 0.49
+    right = (at(simple.metallic) > 0.5) == (at(body) > 0.5)
+    assert right[inner].mean() > 0.7  # of the draw .5; charts are eight texels wide, a border one
+
+
+def test_rungs_begin_matt_and_end_as_drawn(two_bodies):
+    truth, body = two_bodies
+    drawn = with_gloss(truth, body, (0.5, 0.2), (0.0, 1.0))
+    uv = np.random.default_rng(0).random((500, 2))
+    steps = rungs(drawn, body, uv)
+    assert [rung.name for rung in steps][:1] + [steps[-1].name] == ["matt", "as drawn"]
+    assert all((rung.metallic == 0).all() for rung in steps[:4])
+    assert np.ptp(steps[1].roughness) == 0 and steps[1].roughness[0, 0] == pytest.approx(0.5)
+    assert np.ptp(steps[4].roughness) == 0 and steps[4].roughness[0, 0] == pytest.approx(0.2)
+    none = replace(drawn, metallic=np.zeros_like(drawn.metallic))
+    assert [rung.name for rung in rungs(none, body, uv)][-1] == "gloss map"
+
+
+def test_bodies_follow_colour_and_not_brightness_alone(two_bodies):
+    """Shading that is left over in a base colour makes no body."""
+    truth, body = two_bodies
+    ramp = np.linspace(0.8, 1.25, body.shape[0])[:, None, None]
+    uv = np.random.default_rng(0).random((4000, 2))
+    label = bodies((truth.base_color * ramp).astype(np.float32), uv, np.random.default_rng(0))
+    inner = np.abs(np.arange(body.shape[1]) - body.shape[1] // 2) > 4  # beside the soft border
+    for one in (0, 1):
+        assert len(np.unique(label[:, inner][body[:, inner] == one])) == 1
+    assert label[0, 0] != label[0, -1]
+
+
+def test_whole_photos_judge_and_make_no_colour(problem):
+    observations = problem.observations
+    parts = split(observations, np.random.default_rng(0))
+    judging = set(observations.view[parts.judged])
+    assert len(judging) == parts.photos == 2  # a fifth of eight, rounded
+    assert not judging & set(observations.view[parts.kept])
+    name = {(*key,) for key in np.c_[observations.view, observations.pixel // 4][parts.judged]}
+    assert len(name) == len(np.unique(parts.block))
+    kept = with_pixels(problem, parts.kept).observations
+    assert (kept.rgb == observations.rgb[parts.kept]).all() and len(kept) == len(parts.kept)
+
+
+def test_three_photos_judge_nothing(problem, start):
+    few = with_pixels(problem, np.flatnonzero(problem.observations.view < 3))
+    assert split(few.observations, np.random.default_rng(0)) is None
+    settings = Refine(steps=0, pixels=100, texture=32, shading_pixels=1000, gloss="tested")
+    with Bar("refine", units(settings)) as bar:
+        _, facts = refine(few, few, start[0], settings, 0, bar)
+    assert facts["gloss"] == {"why": "maps stay: too few photos to judge them by"}
+
+
+def test_a_rung_must_gain_two_standard_errors():
+    """Blocks of one pixel that gain +1.5 and -.5 nats by turns: 400 are clear, 14 are not, and of 6
+    nothing is said.
+    """
+    for count, expected, nats in ((400, 1, 200), (14, 0, 7), (6, 0, 0)):
+        rich = np.ones(count)
+        more = np.where(np.arange(count) % 2, -0.5, 1.5) * 2 / (FREEDOM + 1)
+        simple = FREEDOM * np.expm1(np.log1p(1 / FREEDOM) + more)
+        stands, tried = climbed([simple, rich], np.arange(count))
+        assert tried[0]["nats"] == pytest.approx(nats, abs=1e-6)
+        assert stands == expected == (tried[0]["nats"] > CLEAR * tried[0]["standard_error"])
+
+
+def test_gain_counts_blocks_and_not_pixels():
+    """Errors that whole blocks share: k copies of a pixel make the gain k times as large and its
+    standard error too, so no more certain; expected from scipy's density of Student's t.
+    """
+    simple, rich = np.tile([3.0, 1.0, 2.0], 5), np.tile([1.0, 2.0, 1.0], 5)
+    block = 4 + 3 * np.arange(15)
+    nats, error = gain(simple, rich, block)
+    density = lambda squared: stats.t.logpdf(np.sqrt(squared), FREEDOM)  # median of rich: 1
+    of_block = density(rich) - density(simple)
+    assert nats == pytest.approx(of_block.sum())
+    assert error == pytest.approx(np.sqrt(15) * np.std(of_block, ddof=1))
+
+    copies = [np.repeat(values, 50) for values in (simple, rich, block)]
+    many, its_error = gain(*copies)
+    assert (many, its_error) == (pytest.approx(50 * nats), pytest.approx(50 * error))
+    assert gain(rich, rich, block) == gain(simple, rich, block // 10) == (0, 0)
+
+
+def test_a_few_wild_pixels_do_not_hide_what_all_others_say():
+    """Of 4000 pixels in 400 blocks all gain a little by the maps; 1 % have errors a thousand times
+    as large, which come and go.
+    """
+    rng = np.random.default_rng(0)
+    rich = rng.normal(size=4000) ** 2
+    simple = 1.3 * rich
+    wild = rng.random(4000) < 0.01
+    rich[wild], simple[wild] = rng.uniform(0, 1000, (2, wild.sum()))
+    nats, error = gain(simple, rich, np.arange(4000) // 10)
+    assert nats > 5 * error
+    assert (simple - rich).sum() < 2 * np.sqrt(4000) * (simple - rich).std()  # a normal one's sum
+
+
+def test_refinement_says_what_it_chose(problem, start):
+    settings = Refine(steps=2, pixels=300, texture=32, shading_pixels=8000, gloss="tested")
+    with Bar("refine", units(settings)) as bar:
+        refined, facts = refine(problem, problem, start[0], settings, 0, bar)
+    chosen = {body["chosen"] for body in facts["gloss"]["bodies"]}
+    assert chosen <= set(facts["gloss"]["rungs"])
+    if not chosen & {"gloss map", "as drawn", "one metal"}:
+        assert (refined.metallic == 0).all()
+    if chosen <= {"matt", "one gloss"}:
+        assert len(np.unique(refined.roughness.round(4))) <= 2
