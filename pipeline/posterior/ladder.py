@@ -1,6 +1,6 @@
 """Gloss and metal rung by rung: a body keeps what photos that were left out ask for, and no more.
 
-Every body of the surface begins as a matt dielectric and climbs. Rungs, simplest first:
+Every body of the surface begins as a dielectric of one number and climbs. Rungs, simplest first:
 
     matt              roughness 1, no metal
     one gloss         the surface's median roughness everywhere, no metal
@@ -11,25 +11,22 @@ Every body of the surface begins as a matt dielectric and climbs. Rungs, simples
 
 Some photos are left out of the base colours. On every rung all bodies stand at once, with base
 colours of their own from the other photos, and are judged by blocks of pixels of the photos left
-out. Residuals r (relative errors of problem.py) have heavy tails: edges and highlights in the wrong
-place would drown a normal distribution's sum. With Student's t of FREEDOM degrees of freedom and
-scale s,
+out, by the error e of a score (render/metrics.py: squared, as sRGB values):
 
-    gain = sum over blocks b of g_b,    g_b = sum over pixels of b of l(r_simple) - l(r_rich),
-    l(r) = (FREEDOM + 1) / 2 log(1 + r^2 / (FREEDOM s^2))
+    gain = sum over blocks b of g_b,    g_b = sum over pixels of b of e_simple - e_rich
 
-is the gain of the richer rung in log likelihood, in nats; s^2 is its median r^2. Residuals of
-neighbouring pixels go together, so blocks count as independent, not pixels: the gain's standard
-error is sqrt(B) times the standard deviation of the g_b over B blocks. A body climbs to a rung that
-gains more than CLEAR standard errors over the one it stands on.
+Errors of neighbouring pixels go together, so blocks count as independent, not pixels: the gain's
+standard error is sqrt(B) times the standard deviation of the g_b over B blocks. A body climbs to a
+rung that gains more than CLEAR standard errors over the one it stands on; of the first two, which
+are one number each, it begins on the one that predicts better.
 
 Whole photos are left out, not blocks of pixels alone: a base colour that a photo's own pixels make
 holds its highlights as paint, and would hide what a metal explains.
 
 A body is what has one colour after the shading is divided out (split_gibbs/regions.py), so that the
-border of a material follows the stuff and not the light. r^2 is the product of two pictures'
-residuals from independent paths: the square of one would hold the path tracer's noise, which
-differs between materials.
+border of a material follows the stuff and not the light. e is the product of two pictures' errors
+from independent paths: the square of one would hold the path tracer's noise, which differs between
+materials.
 """
 
 from __future__ import annotations
@@ -40,9 +37,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.posterior.problem import PixelBatch, Problem, renderer_seed
+from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.split_gibbs.regions import group, texel_regions
 from pipeline.posterior.textures import gather
+from pipeline.render.metrics import crossed_error
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation
 
@@ -53,11 +51,11 @@ FINEST = 4  # pixels along a side of a block, at least
 FEWEST = 10  # blocks, below which a standard error over them says nothing: a body stays matt
 FEWEST_PHOTOS = 4
 SOLVED = 200_000  # pixels of the other photos, at most, that a rung's base colour is made from
-JUDGED = 16_000  # pixels of the blocks at most
-PATHS = 6  # through each, for either of two pictures
+JUDGED = 8_000  # pixels of the blocks at most
+PATHS = 16  # through each, for either of two pictures
 CLEAR = 2.0  # standard errors
-FREEDOM = 3.0
-LEAST_SCALE = 1e-6  # s^2: photos are never explained to less than 8 bits
+LEAST = 1e-9  # error of all pixels together
+EQUALLY_SIMPLE = 2  # rungs, the first ones
 GROUPED = 20_000  # pixels whose colours are grouped into bodies
 SAME_COLOR = 0.95  # share of the colours' spread that bodies explain: one too many does no harm
 METAL = 0.5  # metallic from which on a texel is of metal
@@ -123,11 +121,11 @@ def with_pixels(problem: Problem, index: np.ndarray) -> Problem:
     return Problem(some, problem.renderer, problem.roughness_min, problem.normal_error)
 
 
-def squared_residual(
+def squared_error(
     problem: Problem, explanation: Explanation, index: np.ndarray, seed: int
 ) -> np.ndarray:
-    """Mean over the channels of the squared relative error, without the paths' noise, of the pixels
-    `index`: (n,). The same seed takes the same rays and paths.
+    """Squared error of sRGB values, mean over the channels and without the paths' noise, of the
+    pixels `index`: (n,). The same seed takes the same rays and paths.
     """
     observations = problem.observations
     rng = np.random.default_rng(seed)
@@ -142,29 +140,21 @@ def squared_residual(
         )
         for _ in range(2)
     ]
-
-    nothing = np.empty((0, len(index), 3))
-    photo, clipped = observations.rgb[index], observations.clipped[index]
-    batch = PixelBatch(index, nothing, nothing, photo, clipped)
-    one, two = (Problem.residual(picture, batch) for picture in pictures)
-    return (one * two).mean(1)
-
-
-def surprise(squared: np.ndarray, scale: float) -> np.ndarray:
-    """l(r) in nats, but for a constant, of squared residuals (n,), for s^2 = `scale`."""
-    return 0.5 * (FREEDOM + 1) * np.log1p(np.maximum(squared, 0) / (FREEDOM * scale))
+    return crossed_error(pictures[0], observations.rgb[index], pictures[1]).mean(1)
 
 
 def gain(simple: np.ndarray, rich: np.ndarray, block: np.ndarray) -> tuple[float, float]:
-    """Gain of `rich` over `simple` in log likelihood (nats), and its standard error, from squared
-    residuals (n,) of pixels in blocks (n,). Fewer than FEWEST blocks say nothing: 0, 0.
+    """By what share of its error `simple` is worse than `rich`, and the standard error of that
+    share, from squared errors (n,) of pixels in blocks (n,). Fewer than FEWEST blocks say nothing:
+    0, 0.
     """
-    number = np.unique(block, return_inverse=True)[1]
-    if len(np.unique(block)) < FEWEST:
+    blocks, number = np.unique(block, return_inverse=True)
+    if len(blocks) < FEWEST:
         return 0.0, 0.0
-    scale = max(float(np.median(rich)), LEAST_SCALE)
-    of_block = np.bincount(number, surprise(simple, scale) - surprise(rich, scale))
-    return float(of_block.sum()), float(np.sqrt(len(of_block)) * of_block.std(ddof=1))
+    of_block = np.bincount(number, simple - rich)
+    whole = max(float(simple.sum()), LEAST)
+    spread = float(of_block.std(ddof=1))
+    return float(of_block.sum()) / whole, float(np.sqrt(len(blocks))) * spread / whole
 
 
 def bodies(color: np.ndarray, uv: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -206,16 +196,16 @@ def rungs(x: Explanation, body: np.ndarray, uv: np.ndarray) -> list[Rung]:
     return found
 
 
-def climbed(left: list[np.ndarray], block: np.ndarray) -> tuple[int, list[dict]]:
+def climbed(errors: list[np.ndarray], block: np.ndarray) -> tuple[int, list[dict]]:
     """The rung that a body stands on in the end, and every step that was tried: `from` and `to`
-    (numbers of rungs), `nats`, `standard_error`. left: squared residuals (n,) of its pixels on
-    every rung.
+    (numbers of rungs), `gain` and its `standard_error` as shares of the error. errors: squared
+    errors (n,) of its pixels on every rung.
     """
     stands, tried = 0, []
-    for higher in range(1, len(left)):
-        nats, error = gain(left[stands], left[higher], block)
-        tried.append({"from": stands, "to": higher, "nats": nats, "standard_error": error})
-        if nats > CLEAR * error:
+    for higher in range(1, len(errors)):
+        share, error = gain(errors[stands], errors[higher], block)
+        tried.append({"from": stands, "to": higher, "gain": share, "standard_error": error})
+        if share > (0 if higher < EQUALLY_SIMPLE else CLEAR * error):
             stands = higher
     return stands, tried
 
@@ -237,10 +227,10 @@ def climb(
     body = bodies(matt.base_color, uv, rng)
     found = rungs(x, body, uv)
 
-    left = [squared_residual(problem, matt, parts.judged, seed)]
+    errors = [squared_error(problem, matt, parts.judged, seed)]
     for rung in found[1:]:
         tried = solve(kept, rung.put_on(matt))
-        left.append(squared_residual(problem, tried, parts.judged, seed))
+        errors.append(squared_error(problem, tried, parts.judged, seed))
 
     at_judged = gather(body.astype(np.float32), problem.observations.uv[parts.judged])[:, 0]
     roughness, metallic = np.empty_like(x.roughness), np.empty_like(x.metallic)
@@ -248,17 +238,21 @@ def climb(
     facts = []
     for b in range(int(body.max()) + 1):
         mine = at_judged.round() == b
-        stands, tried = climbed([r[mine] for r in left], parts.block[mine])
+        stands, tried = climbed([e[mine] for e in errors], parts.block[mine])
         rung, here = found[stands], body == b
         roughness[here], metallic[here] = rung.roughness[here], rung.metallic[here]
         keeps_map[here] = rung.name in ("gloss map", "as drawn")
         facts.append({"share": float(mine.mean()), "chosen": rung.name, "tried": tried})
 
     chosen = replace(matt, roughness=roughness, metallic=metallic)
-    return chosen, keeps_map, {
-        "photos_left_out": parts.photos,
-        "blocks": len(np.unique(parts.block)),
-        "judged_pixels": len(parts.judged),
-        "rungs": [rung.name for rung in found],
-        "bodies": facts,
-    }
+    return (
+        chosen,
+        keeps_map,
+        {
+            "photos_left_out": parts.photos,
+            "blocks": len(np.unique(parts.block)),
+            "judged_pixels": len(parts.judged),
+            "rungs": [rung.name for rung in found],
+            "bodies": facts,
+        },
+    )

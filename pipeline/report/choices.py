@@ -54,18 +54,19 @@ WORDS = {
 
 
 def body_words(body: dict, rungs: list[str]) -> str:
-    """One body of one sample: its rung, and what the last step up to it, or none, was worth."""
-    share = f"{100 * body['share']:.0f} % {body['chosen']}"
+    """One body of one sample: its rung, and by what share the step up to it, or the best of those
+    that it did not take, makes the error of photos that were left out smaller.
+    """
+    words = f"{100 * body['share']:.0f} % {body['chosen']}"
+    if not body["tried"]:
+        return words
     taken = [step for step in body["tried"] if rungs[step["to"]] == body["chosen"]]
+    best = max(body["tried"], key=lambda step: step["gain"] - 2 * step["standard_error"])
+    step = taken[-1] if taken else best
+    sure = f"{100 * step['gain']:+.1f} % ± {100 * step['standard_error']:.1f}"
     if taken:
-        step = taken[-1]
-        than = f"more than {rungs[step['from']]}"
-    elif body["tried"]:
-        step = max(body["tried"], key=lambda one: one["nats"] - 2 * one["standard_error"])
-        than = f"by {rungs[step['to']]}"
-    else:
-        return share
-    return f"{share} ({step['nats']:+.0f} nats {than}, standard error {step['standard_error']:.0f})"
+        return f"{words} ({sure} of the error of {rungs[step['from']]})"
+    return f"{words} ({rungs[step['to']]} would save {sure} of the error)"
 
 
 def choices(facts: dict[str, dict]) -> list[str]:

@@ -5,19 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
 from pipeline.posterior.ladder import (
     CLEAR,
-    FREEDOM,
     bodies,
     climb,
     climbed,
     gain,
     rungs,
     split,
+    squared_error,
     with_pixels,
 )
 from pipeline.posterior.problem import Problem
@@ -154,48 +153,43 @@ def test_three_photos_judge_nothing(problem, start):
 
 
 def test_a_rung_must_gain_two_standard_errors():
-    """Blocks of one pixel that gain +1.5 and -.5 nats by turns: 400 are clear, 14 are not, and of 6
-    nothing is said.
+    """Blocks of one pixel whose errors fall by 3 and rise by 1 in turn, from 9: 400 are clear, 14
+    are not, and of 6 nothing is said. The first two rungs are equally simple: there 14 do.
     """
-    for count, expected, nats in ((400, 1, 200), (14, 0, 7), (6, 0, 0)):
-        rich = np.ones(count)
-        more = np.where(np.arange(count) % 2, -0.5, 1.5) * 2 / (FREEDOM + 1)
-        simple = FREEDOM * np.expm1(np.log1p(1 / FREEDOM) + more)
-        stands, tried = climbed([simple, rich], np.arange(count))
-        assert tried[0]["nats"] == pytest.approx(nats, abs=1e-6)
-        assert stands == expected == (tried[0]["nats"] > CLEAR * tried[0]["standard_error"])
+    for count, higher, expected in ((400, 2, 2), (14, 2, 0), (6, 2, 0), (14, 1, 1)):
+        start = np.full(count, 9.0)
+        better = start - np.where(np.arange(count) % 2, -1.0, 3.0)
+        errors = [start] * higher + [better]
+        stands, tried = climbed(errors, np.arange(count))
+        of_all = 4 / 36 if count >= 10 else 0
+        assert tried[-1]["gain"] == pytest.approx(of_all)
+        assert stands == expected
+        clear = tried[-1]["gain"] > CLEAR * tried[-1]["standard_error"]
+        assert clear == (expected == 2)
 
 
 def test_gain_counts_blocks_and_not_pixels():
-    """Errors that whole blocks share: k copies of a pixel make the gain k times as large and its
-    standard error too, so no more certain; expected from scipy's density of Student's t.
-    """
+    """Errors that whole blocks share: k copies of a pixel say no more than one."""
     simple, rich = np.tile([3.0, 1.0, 2.0], 5), np.tile([1.0, 2.0, 1.0], 5)
     block = 4 + 3 * np.arange(15)
-    nats, error = gain(simple, rich, block)
-    density = lambda squared: stats.t.logpdf(np.sqrt(squared), FREEDOM)  # median of rich: 1
-    of_block = density(rich) - density(simple)
-    assert nats == pytest.approx(of_block.sum())
-    assert error == pytest.approx(np.sqrt(15) * np.std(of_block, ddof=1))
+    share, error = gain(simple, rich, block)
+    assert share == pytest.approx((simple - rich).sum() / simple.sum())
+    assert error == pytest.approx(np.sqrt(15) * np.std(simple - rich, ddof=1) / simple.sum())
 
     copies = [np.repeat(values, 50) for values in (simple, rich, block)]
-    many, its_error = gain(*copies)
-    assert (many, its_error) == (pytest.approx(50 * nats), pytest.approx(50 * error))
-    assert gain(rich, rich, block) == gain(simple, rich, block // 10) == (0, 0)
+    assert gain(*copies) == (pytest.approx(share), pytest.approx(error))
+    assert gain(rich, rich, block) == gain(simple, rich, block // 100) == (0, 0)
 
 
-def test_a_few_wild_pixels_do_not_hide_what_all_others_say():
-    """Of 4000 pixels in 400 blocks all gain a little by the maps; 1 % have errors a thousand times
-    as large, which come and go.
+def test_error_is_that_of_a_score_and_free_of_the_paths_noise(problem, toy):
+    """Of the truth with photos of 64 paths a pixel nothing is left but their noise: far less than
+    the square of one picture's own.
     """
-    rng = np.random.default_rng(0)
-    rich = rng.normal(size=4000) ** 2
-    simple = 1.3 * rich
-    wild = rng.random(4000) < 0.01
-    rich[wild], simple[wild] = rng.uniform(0, 1000, (2, wild.sum()))
-    nats, error = gain(simple, rich, np.arange(4000) // 10)
-    assert nats > 5 * error
-    assert (simple - rich).sum() < 2 * np.sqrt(4000) * (simple - rich).std()  # a normal one's sum
+    truth = toy[1]
+    everywhere = np.arange(len(problem.observations))
+    error = squared_error(photographed(problem, truth), truth, everywhere, 3)
+    darker = replace(truth, light=0.5 * truth.light)
+    assert abs(error.mean()) < 0.02 * squared_error(problem, darker, everywhere, 3).mean()
 
 
 def test_refinement_says_what_it_chose(problem, start):

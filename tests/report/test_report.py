@@ -243,14 +243,14 @@ def test_choices_are_said_with_their_evidence(work):
         "evidence": {"looks_at_a_texel": 40.02},
     }
     write_json(work / "choose" / "choose.json", {"decisions": {"bounces": bounces, "fit": fit}})
-    step = lambda to, nats: {"from": 0, "to": to, "nats": nats, "standard_error": 4.0}
+    step = lambda to, gain: {"from": 0, "to": to, "gain": gain, "standard_error": 0.04}
     gloss = {
         "photos_left_out": 3,
         "blocks": 70,
         "rungs": ["matt", "one gloss", "gloss map"],
         "bodies": [
-            {"share": 0.8, "chosen": "one gloss", "tried": [step(1, 31.0), step(2, 2.0)]},
-            {"share": 0.2, "chosen": "matt", "tried": [step(1, -2.5), step(2, -9.0)]},
+            {"share": 0.8, "chosen": "one gloss", "tried": [step(1, 0.31), step(2, 0.02)]},
+            {"share": 0.2, "chosen": "matt", "tried": [step(1, -0.025), step(2, 0.05)]},
         ],
     }
     refined = read_json(work / "refine" / "1" / "refine.json")
@@ -262,8 +262,8 @@ def test_choices_are_said_with_their_evidence(work):
     assert "has 120 steps of 1366 pixels and 64 texels a side, 300, 8192 and 256 were" in said
     assert "every texel is looked at 40 times" in said
     assert "sample 1, judged by 70 blocks of 3 photos" in said and "sample 0, judged" not in said
-    assert "80 % one gloss (+31 nats more than matt, standard error 4)" in said
-    assert "20 % matt (-2 nats by one gloss, standard error 4)" in said
+    assert "80 % one gloss (+31.0 % ± 4.0 of the error of matt)" in said
+    assert "20 % matt (gloss map would save +5.0 % ± 4.0 of the error)" in said
 
 
 def test_samples_needed_follow_from_their_spread(work):
