@@ -16,11 +16,10 @@ from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
 from pipeline.base.images import luminance, write_exr, write_png
 from pipeline.base.progress import progress
-from pipeline.photos.colmap_model import model_folder
 from pipeline.photos.colour_space import LINEAR, Curve
 from pipeline.photos.decode import Photo, decode
 from pipeline.photos.given_masks import check_owners, mask_file, read_mask
-from pipeline.photos.scene_files import camera_file, find_photos, left_out
+from pipeline.photos.scene_files import cameras_given, find_photos, left_out
 from pipeline.photos.selection import Look, choose, look_at
 
 BLACK = 1e-3  # luminance below which a pixel is black
@@ -278,9 +277,7 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
     check_owners(scene, [path for _, path, _ in found])
     dropped = left_out(scene, found)
     photos, looks = converted(found, scene, out, settings)
-    # Given cameras name their photos: those that are named stay.
-    given = camera_file(scene) is not None or model_folder(scene) is not None
-    if settings.leave_out == "auto" and not given:
+    if settings.leave_out == "auto" and not cameras_given(scene):
         photos, more = drop(photos, looks, out)
         dropped |= more
 

@@ -142,13 +142,19 @@ def check_lens(lens: Lens, where: str | Path) -> None:
 def read_transforms(
     file: Path, scene: Path, sizes: dict[str, tuple[int, int]]
 ) -> dict[str, tuple[Lens, np.ndarray]]:
-    """name -> (Lens, world-to-camera in the Y-up frame). `sizes`: each photo's original (width,
-    height).
+    """name -> (Lens, world-to-camera in the Y-up frame). `sizes`: each captured photo's original
+    (width, height). Raises InputError for a frame whose photo was not captured.
     """
     data = read_transforms_file(file)
     out = {}
     for frame in data.frames:
         name = photo_name(scene, path_in_scene(scene, frame.file_path, file))
+        if name not in sizes:
+            raise InputError(
+                f"the photo of frame '{frame.file_path}' was not captured",
+                file,
+                "run the capture stage again: it was run before these cameras were given",
+            )
         lens = _transforms_lens(data, frame, sizes[name], file)
         pose = Y_FROM_Z_UP @ frame.camera_to_world(file) @ OPENCV_FROM_OPENGL
         out[name] = (lens, np.linalg.inv(pose))

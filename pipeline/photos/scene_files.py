@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from pipeline.base.errors import InputError
+from pipeline.photos.colmap_model import model_folder
 from pipeline.photos.decode import SUFFIXES
 from pipeline.photos.given_masks import mask_file
 from pipeline.photos.transforms_file import read_transforms_file
@@ -35,6 +36,11 @@ NO_PHOTO = "mask whose name matches no photo's: call it <stem of the photo>.png"
 def camera_file(scene: Path) -> Path | None:
     """The scene's transforms file, if it has one."""
     return next((scene / name for name in CAMERA_FILES if (scene / name).exists()), None)
+
+
+def cameras_given(scene: Path) -> bool:
+    """Whether the scene has cameras, which name their photos: those that are named are all kept."""
+    return camera_file(scene) is not None or model_folder(scene) is not None
 
 
 def path_in_scene(scene: Path, name: str, file: Path) -> Path:

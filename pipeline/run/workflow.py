@@ -17,7 +17,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.locks import lock
 from pipeline.photos.colmap_model import model_folder
 from pipeline.photos.given_masks import mask_file
-from pipeline.photos.scene_files import camera_file, find_photos
+from pipeline.photos.scene_files import camera_file, cameras_given, find_photos
 from pipeline.prior.locate import generator_files, prior_files
 from pipeline.run.stage import overrides
 from pipeline.run.times import not_from_the_future, settle_times
@@ -194,10 +194,12 @@ class Scenes:
         return not_from_the_future(photos + masks)
 
     def order(self, name: str) -> str:
-        """Photos in their order, and which are for scoring only: what the capture stage takes from
-        a transforms file beside the photos' paths.
+        """Photos in their order, which are for scoring only, and whether cameras are given, so that
+        none may be left out: what the capture stage takes from given cameras beside the photos'
+        paths.
         """
-        return json.dumps([[photo, split] for photo, _, split in self._found(name)])
+        photos = [[photo, split] for photo, _, split in self._found(name)]
+        return json.dumps([photos, cameras_given(Path(self(name).photos))])
 
     def _found(self, name: str) -> list[tuple[str, Path, str]]:
         return find_photos(Path(self(name).photos))

@@ -60,6 +60,14 @@ def test_transforms_put_a_point_where_blender_would(tmp_path):
     )
 
 
+def test_frame_of_a_photo_that_capture_has_left_out_is_named(tmp_path):
+    file = tmp_path / "transforms.json"
+    frames = [{"file_path": "images/a.png", "transform_matrix": np.eye(4).tolist()}]
+    file.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    with pytest.raises(InputError, match="'images/a.png' was not captured"):
+        read_transforms(file, tmp_path, {"b": (8, 8)})
+
+
 def test_frame_without_a_matrix_is_named(tmp_path):
     (tmp_path / "t.json").write_text(
         json.dumps(

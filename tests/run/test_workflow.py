@@ -175,6 +175,18 @@ def test_which_photos_are_for_scoring_is_part_of_what_capture_depends_on(project
     assert Scenes({}).order("s") != before and '["2", "test"]' in Scenes({}).order("s")
 
 
+@pytest.mark.parametrize("cameras", ["transforms", "model"])
+def test_cameras_given_after_a_run_make_capture_due(project, cameras):
+    """Before, it may have left out photos that the cameras name."""
+    before = Scenes({}).order("s")
+    if cameras == "transforms":
+        frames = [{"file_path": f"images/{k}.png"} for k in range(3)]
+        (project / "photos/transforms.json").write_text(json.dumps({"frames": frames}))
+    else:
+        (project / "photos/sparse/0").mkdir(parents=True)
+    assert Scenes({}).order("s") != before
+
+
 def test_sample_reads_every_part_of_both_priors(project):
     files = Scenes({"sample": {"prior": "prior_base"}}).priors("s")
     names = [Path(f).name for f in files]
