@@ -15,8 +15,8 @@ def work(s: Stage) -> None:
 
     scene = chosen_scene(s.scene, s.args.choose)
     settings = scene.sample
+    check_settings(settings)  # again: light may be what the choose stage has chosen
     prior = load_prior(settings.prior)
-    check_settings(settings, prior)
     # one thread: sums in a fixed order, so sample k is bit-identical anywhere
     set_threads(s.args.threads)
     with stage_folder(s.out, "sample.json") as out:

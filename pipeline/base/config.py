@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from pipeline.base.errors import InputError, nearest
 
@@ -105,6 +105,12 @@ class Masks(Section):
     onnx_model: Path | None = Field(
         None, description="path of an installed ISNet-like network (1x3x1024x1024)"
     )
+
+    @model_validator(mode="after")
+    def _network_is_named(self) -> Masks:
+        if self.method == "onnx" and self.onnx_model is None:
+            raise ValueError("method is onnx, so onnx_model must name a network's file")
+        return self
 
 
 class Mesh(Section):
@@ -243,7 +249,23 @@ class Fit(Section):
 class Sample(Section):
     """Posterior samples of light and materials."""
 
-    method: str = Field("split_gibbs", description="a key of pipeline.posterior.samplers.SAMPLERS")
+    method: Literal[
+        "split_gibbs",
+        "gaussian",
+        "dpi_paper",
+        "dpi_code",
+        "sds",
+        "map",
+        "global_norm",
+        "total_variation",
+        "chromaticity",
+        "spherical_harmonics",
+        "deep_image_prior",
+        "direct_light",
+        "split_sum",
+        "gan_latent",
+        "equivariant_field",
+    ] = Field("split_gibbs", description="a key of pipeline.posterior.samplers.SAMPLERS")
     prior: str = Field(
         "prior_base", description="a file stem under weights/, or a path to .safetensors"
     )

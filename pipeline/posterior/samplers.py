@@ -2,7 +2,7 @@
 
 A sampler is a function (problem, prior, start, settings, seed) -> Explanation, facts, with `start`
 the fit. `split_gibbs` is the default (base/config.py, Sample.method). To add one, write such a
-function and add a line here.
+function, and add a line here and its name there.
 """
 
 from collections.abc import Callable

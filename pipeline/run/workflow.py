@@ -18,6 +18,7 @@ from pipeline.base.locks import lock
 from pipeline.photos.colmap_model import model_folder
 from pipeline.photos.given_masks import mask_file
 from pipeline.photos.scene_files import camera_file, cameras_given, find_photos
+from pipeline.posterior.check_settings import check_settings
 from pipeline.prior.locate import generator_files, prior_files
 from pipeline.run.stage import overrides
 from pipeline.run.times import not_from_the_future, settle_times
@@ -152,6 +153,7 @@ class Scenes:
         if name not in self.loaded:
             file = CONFIGS / f"{checked_name(name)}.yaml"
             scene = load_scene(file, overrides(self.settings))
+            check_settings(scene.sample)
             if self.exclusive():
                 self.locks.append(only_one_run(WORK / name / ".running"))
                 settle_times([WORK / name, EXPORTS / name, *exported_files(name)])

@@ -9,7 +9,6 @@ from pipeline.base.errors import InputError
 from pipeline.posterior.check_settings import check_settings
 from pipeline.posterior.illumination.latent import LatentLight
 from pipeline.prior.generators import load_generator
-from pipeline.prior.load import load_prior
 from pipeline.render.envmap import mean_radiance, solid_angles
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -76,9 +75,8 @@ def test_latents_without_photos_go_to_zero():
 
 def test_a_prior_of_other_rows_is_refused_before_anything_is_drawn():
     """The adversarial network makes 32 rows or a multiple; the field makes any."""
-    tiny = load_prior("prior_tiny")
     settings = Sample(method="gan_latent", prior="prior_tiny")
     with pytest.raises(InputError, match="a multiple of 32 rows, not of the prior's 16"):
-        check_settings(settings, tiny)
-    check_settings(settings.model_copy(update={"method": "equivariant_field"}), tiny)
-    check_settings(settings, load_prior("prior_small"))
+        check_settings(settings)
+    check_settings(settings.model_copy(update={"method": "equivariant_field"}))
+    check_settings(settings.model_copy(update={"prior": "prior_small"}))

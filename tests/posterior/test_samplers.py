@@ -4,6 +4,7 @@ alone.
 
 import pickle
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -133,6 +134,10 @@ def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):
         resumed.torch.set_state(noise)
         other = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)[1]
         assert fingerprint(gaussian_sweeps(resumed, other, saved, 1)) == fingerprint(straight)
+
+
+def test_the_configuration_knows_every_sampler():
+    assert get_args(Sample.model_fields["method"].annotation) == tuple(SAMPLERS)
 
 
 @pytest.mark.parametrize("name", list(SAMPLERS))

@@ -6,6 +6,7 @@ import os
 import shlex
 import shutil
 import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -200,7 +201,7 @@ def test_sample_reads_every_part_of_both_priors(project):
 
 def test_weights_in_the_project_are_named_from_there(project):
     """So that a project that was moved is not made again."""
-    shutil.copy(ROOT / "weights/gaussian_tiny.safetensors", project / "own.safetensors")
+    shutil.copy(ROOT / "weights/gaussian_small.safetensors", project / "own.safetensors")
     scenes = Scenes({"sample": {"prior": f"{project}/own.safetensors"}})
     assert scenes.priors("s")[0] == "own.safetensors"
 
@@ -209,6 +210,40 @@ def test_a_network_for_masks_is_read_when_it_is_asked_for(project):
     network = {"onnx_model": "net.onnx"}
     assert Scenes({"masks": network | {"method": "onnx"}}).network("s") == ["net.onnx"]
     assert Scenes({"masks": network}).network("s") == []
+
+
+LATE = {
+    "light": ({"sample": {"light": 24}}, "sample.light: a light of 24 rows does not divide"),
+    "prior": ({"sample": {"prior": "prior_huge"}}, "there is no such prior"),
+    "rows": ({"sample": {"prior": "prior_tiny"}}, "of 32 rows does not divide the prior's 16"),
+    "search": ({"sample": {"search_prior": "prior_tiny"}}, "a Gaussian prior is asked for"),
+    "method": ({"sample": {"method": "gibs"}}, "sample.method"),
+    "label": ({"sample": {"label": "moon"}}, "no class 'moon'"),
+    "made": ({"sample": {"method": "gan_latent", "prior": "prior_tiny"}}, "a multiple of 32 rows"),
+    "network": ({"masks": {"method": "onnx"}}, "onnx_model must name"),
+}
+
+
+@pytest.mark.parametrize("wrong", LATE)
+def test_settings_that_do_not_fit_each_other_are_refused_before_the_first_job(project, wrong):
+    settings, message = LATE[wrong]
+    with pytest.raises(InputError, match=message):
+        Scenes(settings)("s")
+
+
+def test_asking_for_a_scene_loads_neither_torch_nor_mitsuba(project):
+    """The Snakefile is read for every job."""
+    code = (
+        "import sys; from pipeline.run.workflow import Scenes; Scenes({})('s'); print(*sys.modules)"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code],
+        text=True,
+        capture_output=True,
+        check=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert not {"torch", "mitsuba"} & set(ran.stdout.split())
 
 
 def test_missing_parts_and_other_formats_of_weights_are_refused(tmp_path):

@@ -9,13 +9,14 @@ import torch
 
 from pipeline.base.errors import InputError
 from pipeline.base.images import luminance, write_exr, write_png
-from pipeline.prior.network import KINDS, LABELS
+from pipeline.prior.network import KINDS
 from pipeline.prior.training import augment, procedural
 from pipeline.prior.training import train as training
 from pipeline.prior.training.data import ROWS, Batches, Data, half, make_cache, radiance, scale_free
 from pipeline.prior.training.settings import Training, load_training
 from pipeline.prior.training.sources import PEAK, expand, find_sources, read_source
 from pipeline.prior.training.train import Run, fixed_loss, row_weights, train
+from pipeline.prior.weight_facts import LABELS
 from pipeline.prior.weight_files import load_parts, part_paths, save_parts
 from pipeline.render.envmap import directions, mean_radiance, resample_area, solid_angles
 
