@@ -10,14 +10,12 @@ SCORE_UNITS = 5  # progress: scoring a view takes as long as so many of Adam's s
 
 def work(s: Stage) -> None:
     from pipeline.base.progress import Bar
-    from pipeline.base.runtime import set_threads
     from pipeline.posterior.choose.chosen import chosen_scene
     from pipeline.posterior.load import load_problem
     from pipeline.posterior.refine import COARSE, refine, units
     from pipeline.render.metrics import held_out_photos, score_held_out
     from pipeline.render.renderer import Explanation
 
-    set_threads(s.args.threads)
     scene = chosen_scene(s.scene, s.args.choose)
     settings = scene.refine
     with stage_folder(s.out, "refine.json") as out:

@@ -5,7 +5,6 @@ from pipeline.run.stage import CHOSEN_FOLDER, PROBLEM_FOLDERS, Stage, stage
 
 
 def work(s: Stage) -> None:
-    from pipeline.base.runtime import set_threads
     from pipeline.posterior.check_settings import check_settings
     from pipeline.posterior.choose.chosen import chosen_scene
     from pipeline.posterior.load import load_problem
@@ -17,8 +16,6 @@ def work(s: Stage) -> None:
     settings = scene.sample
     check_settings(settings)  # again: light may be what the choose stage has chosen
     prior = load_prior(settings.prior)
-    # one thread: sums in a fixed order, so sample k is bit-identical anywhere
-    set_threads(s.args.threads)
     with stage_folder(s.out, "sample.json") as out:
         problem = load_problem(
             *s.problem_folders,

@@ -10,16 +10,19 @@ Every test belongs to one tier, and its marker is set here:
     unit    all others: `pytest -m unit`
 """
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline.base import runtime
+from pipeline.base import runtime  # isort: skip  (first: it points Dr.Jit at its LLVM)
+import drjit
 
 # Of torch and BLAS: these matrices are too small to share, and on a busy machine two threads that
-# wait for each other are ten times slower than one. Dr.Jit, loaded later, takes all cores.
+# wait for each other are ten times slower than one. Dr.Jit takes all cores.
 runtime.set_threads(1)
+drjit.set_thread_count(os.cpu_count())
 
 TESTS = Path(__file__).resolve().parent
 COLLECTED = pytest.StashKey[list]()  # all tests found, those left out by -m too

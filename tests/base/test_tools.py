@@ -1,5 +1,6 @@
 """Small shared tools: whole files, progress, metrics, doctor."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -206,6 +207,28 @@ def test_doctor_renders(monkeypatch):
     assert doctor.versions() == [
         (False, "no-such-package is missing: pip install --no-deps -r requirements.lock")
     ]
+
+
+def test_threads_are_obeyed_by_libraries_that_are_loaded_later():
+    code = """
+from pipeline.base.runtime import set_threads
+set_threads(1)
+import cv2, drjit, numba, numpy, torch
+from threadpoolctl import threadpool_info
+from pipeline.base.runtime import mitsuba
+print(cv2.getNumThreads(), drjit.thread_count(), numba.get_num_threads(), torch.get_num_threads())
+print(*[pool["num_threads"] for pool in threadpool_info()])
+"""
+    unset = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    ran = subprocess.run(
+        [sys.executable, "-c", code],
+        text=True,
+        capture_output=True,
+        check=True,
+        cwd=ROOT,
+        env=unset | {"PYTHONPATH": str(ROOT)},
+    )
+    assert set(ran.stdout.split()) == {"1"}
 
 
 def test_threads_reach_a_blas_that_is_loaded():
