@@ -111,11 +111,7 @@ def find_photos(scene: Path) -> list[tuple[str, Path, str]]:
             out += [(photo_name(scene, p), p, "test") for p in named_frames(scene, test)]
     else:
         folder = scene / "images" if (scene / "images").is_dir() else scene
-        paths = sorted(
-            p
-            for p in folder.rglob("*")
-            if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and not p.is_dir()
-        )
+        paths = [p for p in _visible_files(folder) if p.suffix.lower() in SUFFIXES]
         out = [
             (photo_name(scene, p), p, "fit")
             for p in paths
@@ -191,5 +187,12 @@ def left_out(scene: Path, found: list[tuple[str, Path, str]]) -> dict[str, list[
 
 
 def _visible_files(folder: Path) -> Iterable[Path]:
-    """All files below a folder, sorted, without hidden ones; none if there is no such folder."""
-    return (f for f in sorted(folder.rglob("*")) if f.is_file() and not f.name.startswith("."))
+    """All files below a folder, sorted, without hidden ones and those in hidden folders; none if
+    there is no such folder. Links that lead nowhere are among them.
+    """
+    return (f for f in sorted(folder.rglob("*")) if not f.is_dir() and not _hidden(f, folder))
+
+
+def _hidden(file: Path, folder: Path) -> bool:
+    """Whether the file, or a folder between it and `folder`, has a name that begins with a dot."""
+    return any(part.startswith(".") for part in file.relative_to(folder).parts)

@@ -13,7 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write_exr
 from pipeline.photos.capture import capture
 from pipeline.photos.given_cameras import read_transforms
-from pipeline.photos.scene_files import find_photos
+from pipeline.photos.scene_files import find_photos, left_out
 
 PHOTO = (np.random.default_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
 
@@ -158,7 +158,31 @@ def _mask_of_trillions(scene):
 
 def test_hidden_and_mask_files_are_no_photos(scene):
     (scene / "images" / ".hidden.png").write_bytes(b"x")
-    assert len(find_photos(scene)) == 4
+    for folder in (scene / "images" / ".thumbnails", scene / "images" / "b" / ".cache" / "large"):
+        folder.mkdir(parents=True)
+        Image.fromarray(PHOTO).save(folder / "bild.png")
+        (folder / "bild.webp").write_bytes(b"x")
+    found = find_photos(scene)
+    assert len(found) == 4 and left_out(scene, found) == {}
+
+
+def test_a_mask_is_of_one_photo(scene, tmp_path):
+    """Photos of one stem in two folders: by stem alone one mask would be both photos'."""
+    masks = scene / "masks"
+    masks.mkdir()
+    white = Image.fromarray(np.full(PHOTO.shape[:2], 255, np.uint8))
+    white.save(masks / "0001.png")
+    for side in ("left", "right"):
+        (scene / "images" / side).mkdir()
+        Image.fromarray(PHOTO).save(scene / "images" / side / "0001.jpg")
+    with pytest.raises(InputError, match="may be the mask of .*left/0001.jpg and of .*right/0001"):
+        run(scene, tmp_path)
+
+    (masks / "left").mkdir()
+    (masks / "0001.png").rename(masks / "left" / "0001.png")
+    (tmp_path / "out").rmdir()
+    photos = {p["name"]: p["has_mask"] for p in run(scene, tmp_path)[2]}
+    assert photos["left_0001"] and not photos["right_0001"]
 
 
 def test_dots_in_names_stay_apart_and_unnamed_photos_are_told(scene, tmp_path, capsys):
