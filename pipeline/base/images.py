@@ -69,11 +69,17 @@ def read_exr(path: str | Path) -> np.ndarray:
                     return np.ascontiguousarray(channels[name].pixels[..., :3], np.float32)
             if all(c in channels for c in "RGB"):
                 return np.stack([channels[c].pixels for c in "RGB"], -1).astype(np.float32)
-            return np.array(next(iter(channels.values())).pixels, np.float32)
+            if len(channels) == 1:
+                return np.array(next(iter(channels.values())).pixels, np.float32)
     except Exception as error:  # the binding raises bare RuntimeError/ValueError/OSError
         raise InputError(
             f"not a readable EXR file ({error})", path, "replace the file or leave it out"
         ) from error
+    raise InputError(
+        f"its channels are {', '.join(sorted(channels))}: neither R, G, B nor a single one",
+        path,
+        "export it with the channels R, G, B",
+    )
 
 
 def write_exr(path: str | Path, pixels: np.ndarray, half: bool = False) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.base.config import Capture
 from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
-from pipeline.base.images import luminance, write_exr, write_png
+from pipeline.base.images import LARGEST_HALF, luminance, read_png, write_exr, write_png
 from pipeline.base.progress import progress
 from pipeline.photos.colour_space import LINEAR, Curve
 from pipeline.photos.decode import Photo, decode
@@ -206,7 +206,8 @@ def converted(
 ) -> tuple[list[dict], list[Look]]:
     """Facts of every photo (photos.json) and how it looks, after its linear picture is in
     `out`/images/NAME.npy, its saturated pixels in `out`/saturated, and its mask, if it has one, in
-    `out`/masks.
+    `out`/masks. What comes without a full scale may be brighter than a half can hold, and is kept
+    as float32 until its scale is known.
     """
     (out / "images").mkdir()
     (out / "saturated").mkdir()
@@ -214,7 +215,8 @@ def converted(
     looks = []
     for name, path, split in progress(found, "photos"):
         photo = convert(scene, path, settings)
-        np.save(out / "images" / f"{name}.npy", photo.linear.astype(np.float16))
+        kept = np.float32 if photo.facts["clip_level"] == NEVER else np.float16
+        np.save(out / "images" / f"{name}.npy", photo.linear.astype(kept))
         write_png(out / "saturated" / f"{name}.png", photo.saturated * np.uint8(255))
         if photo.mask is not None:
             (out / "masks").mkdir(exist_ok=True)
@@ -227,11 +229,18 @@ def converted(
     return photos, looks
 
 
-def divide_out_gains(photos: list[dict], images: Path) -> None:
-    """NAME.npy of every photo over its gain as NAME.exr; clip level and focal length follow."""
+def divide_out_gains(photos: list[dict], out: Path) -> None:
+    """`out`/images/NAME.npy of every photo over its gain as NAME.exr; clip level and focal length
+    follow. What is brighter than a half can hold is a lower bound: it counts as saturated.
+    """
     for p in photos:
-        raw = images / f"{p['name']}.npy"
-        write_exr(raw.with_suffix(".exr"), np.load(raw).astype(np.float32) / p["gain"], half=True)
+        raw = out / "images" / f"{p['name']}.npy"
+        linear = np.load(raw).astype(np.float32) / p["gain"]
+        write_exr(raw.with_suffix(".exr"), linear, half=True)
+        beyond = linear > LARGEST_HALF
+        if beyond.any():
+            file = out / "saturated" / f"{p['name']}.png"
+            write_png(file, np.maximum(read_png(file), beyond * np.uint8(255)))
         p["clip_level"] /= p["gain"]
         p |= focal_guess(p)
         raw.unlink()
@@ -293,7 +302,7 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
         print(sentence, file=sys.stderr)
     masked = sum(p["has_mask"] for p in photos)
     exposure = normalise_exposure(photos, settings.exposure)
-    divide_out_gains(photos, out / "images")
+    divide_out_gains(photos, out)
     facts = {"scene": scene.name, "exposure": exposure, "left_out": dropped, "photos": photos}
     write_json(out / "photos.json", facts)
     return {

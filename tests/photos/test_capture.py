@@ -5,13 +5,22 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 
 from pipeline.base.config import Capture
 from pipeline.base.errors import InputError
-from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write_exr
+from pipeline.base.images import (
+    LARGEST_HALF,
+    linear_to_srgb,
+    read_exr,
+    read_png,
+    srgb_to_linear,
+    write_exr,
+)
 from pipeline.photos.capture import capture
+from pipeline.photos.decode import decode
 from pipeline.photos.given_cameras import read_transforms
 from pipeline.photos.scene_files import find_photos, left_out
 
@@ -340,6 +349,50 @@ def test_saturation_is_judged_before_scaling(scene, tmp_path):
     assert np.argwhere(out_saturated).tolist() == [[4, 20, 0], [4, 20, 1], [4, 20, 2], [25, 50, 2]]
     assert read_exr(out / "images" / "bild 1 ä.exr")[4, 20].max() < 0.4
     assert metrics["clipped_share"] == pytest.approx(2 / (48 * 64))
+
+
+def exr(file: Path, channels: dict[str, np.ndarray]) -> Path:
+    """An EXR file of any channels."""
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, channels) as picture:
+        picture.write(str(file))
+    return file
+
+
+def test_alpha_of_an_exr_is_a_mask(scene, tmp_path):
+    pixels = np.full((24, 36, 4), 0.4, np.float32)
+    pixels[..., 3] = 0
+    pixels[4:20, 6:30, 3] = 1
+    exr(scene / "images" / "linear.exr", {"RGBA": pixels})
+    out, _, photos = run(scene, tmp_path)
+    assert [p["name"] for p in photos if p["has_mask"]] == ["linear"]
+    assert ((read_png(out / "masks" / "linear.png") > 127) == (pixels[..., 3] > 0)).all()
+
+
+def test_no_other_layer_of_an_exr_is_taken_for_the_photo(scene, tmp_path):
+    depth = np.full((24, 36), 7.0, np.float32)
+    color = np.full((24, 36, 3), 0.4, np.float32)
+    file = exr(
+        scene / "images" / "a.exr", {"depth.Z": depth, "RGB": color, "glossy.RGB": 2 * color}
+    )
+    out, _, _ = run(scene, tmp_path)
+    assert np.allclose(read_exr(out / "images" / "a.exr"), 0.4, atol=1e-3)
+
+    exr(file, {"depth.Z": depth, "beauty.RGB": color})
+    with pytest.raises(InputError, match="beauty.* not R, G, B"):
+        decode(file)
+    with pytest.raises(InputError, match="neither R, G, B nor a single one"):
+        read_exr(file)
+
+
+def test_a_pixel_that_no_half_can_hold_is_a_lower_bound(scene, tmp_path):
+    pixels = np.full((24, 36, 3), 0.4, np.float32)
+    pixels[3, 5] = 1e6, 0.5, 7e4
+    write_exr(scene / "images" / "sun.exr", pixels)
+    out, _, _ = run(scene, tmp_path)
+    assert read_exr(out / "images" / "sun.exr")[3, 5, 0] == LARGEST_HALF
+    saturated = read_png(out / "saturated" / "sun.png") > 0
+    assert saturated.sum() == 2 and saturated[3, 5].tolist() == [True, False, True]
 
 
 def test_scaling_averages_light_and_not_codes(scene, tmp_path):
