@@ -92,7 +92,7 @@ rule capture:
     input:
         scene_files("photos"),
     output:
-        made("capture", "capture.json", "photos.json"),
+        made("capture", "capture.json", "photos.json", "radiance.json"),
     log:
         "work/{scene}/logs/capture.log",
     benchmark:
@@ -293,6 +293,7 @@ rule export:
     input:
         "work/{scene}/atlas/mesh_uv.ply",
         "work/{scene}/poses/poses.json",
+        "work/{scene}/capture/radiance.json",
         samples=refined,
     output:
         update("exports/{scene}.usda"),
@@ -308,7 +309,8 @@ rule export:
     shell:
         command(
             "export",
-            f"--atlas {WORK}/atlas --poses {WORK}/poses --samples {{params.folders:q}} "
+            f"--atlas {WORK}/atlas --capture {WORK}/capture --poses {WORK}/poses "
+            "--samples {params.folders:q} "
             f"--metrics {WORK}/export.json --out exports/{{wildcards.scene:q}}.usda",
         )
 

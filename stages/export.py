@@ -11,6 +11,7 @@ from pipeline.run.stage import Stage, stage
 
 
 def work(s: Stage) -> None:
+    from pipeline.photos.radiance import Radiance
     from pipeline.usd.write import export
 
     facts = {
@@ -21,7 +22,8 @@ def work(s: Stage) -> None:
         "poses": read_json(s.args.poses / "poses.json")["source"],
         "meters_known": s.scene.poses.object_size is not None,
     }
-    metrics = export(s.args.atlas, s.args.samples, s.out, facts)
+    white = Radiance.load(s.args.capture).white
+    metrics = export(s.args.atlas, s.args.samples, s.out, facts, white)
     report_metrics(s.args.metrics, metrics | s.costs())
 
     made = [s.args.metrics, s.out, s.out.with_suffix(".usdz"), *s.out.with_suffix("").rglob("*")]
@@ -45,7 +47,11 @@ def more(parser: argparse.ArgumentParser) -> None:
 if __name__ == "__main__":
     stage(
         __doc__,
-        {"atlas": "folder of the atlas stage", "poses": "folder of the poses stage"},
+        {
+            "atlas": "folder of the atlas stage",
+            "capture": "folder of the capture stage (the photos' unit of radiance)",
+            "poses": "folder of the poses stage",
+        },
         work,
         more,
     )

@@ -27,7 +27,14 @@ def srgb_to_linear(x: np.ndarray) -> np.ndarray:
 
 def linear_to_srgb(x: np.ndarray) -> np.ndarray:
     """IEC 61966-2-1 encoding, clipped to [0, 1]."""
-    x = np.clip(np.asarray(x, np.float32), 0, 1)
+    return perceived(np.clip(np.asarray(x, np.float32), 0, 1))
+
+
+def perceived(x: np.ndarray) -> np.ndarray:
+    """As `linear_to_srgb`, of x >= 0, with the curve going on above 1, which is white on a screen
+    only.
+    """
+    x = np.asarray(x, np.float32)
     return np.where(
         x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-8) ** (1 / 2.4) - 0.055
     ).astype(np.float32)

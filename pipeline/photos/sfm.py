@@ -62,7 +62,9 @@ def write_inputs(
     folders: dict[tuple, str] = {}
 
     for k, p in enumerate(progress(photos, "photos for matching")):
-        image = Image.fromarray(to_srgb8(read_exr(capture / "images" / f"{p['name']}.exr")))
+        # as it was exposed: what is bright in a short exposure is white at the scene's
+        exposed = read_exr(capture / "images" / f"{p['name']}.exr") * np.float32(p["gain"])
+        image = Image.fromarray(to_srgb8(exposed))
         image.thumbnail((settings.max_size, settings.max_size), Image.Resampling.LANCZOS)
         if on_its_side(p, photos):
             image = image.transpose(Image.Transpose.ROTATE_90)

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.base.config import Mesh as MeshSettings
 from pipeline.base.files import json_entry, read_json
-from pipeline.base.images import linear_to_srgb, luminance, read_exr, read_png, write_png
+from pipeline.base.images import luminance, perceived, read_exr, read_png, write_png
 from pipeline.geometry.cameras import Rig, load_cameras
 from pipeline.geometry.mesh_io import Mesh, normal_wobble, save_mesh
 from pipeline.surface.bake import DENSE
@@ -26,10 +26,10 @@ NEIGHBOURS = 4  # photos that refinement compares each photo with
 
 
 def grey_photos(rig: Rig, poses: Path) -> list[np.ndarray]:
-    """All photos as grey (h, w) float32 in [0, 1], sRGB-encoded: matching sees what eyes see."""
-    return [
-        luminance(linear_to_srgb(read_exr(poses / v.image))).astype(np.float32) for v in rig.views
-    ]
+    """All photos as grey (h, w) float32, sRGB-encoded, white 1: matching sees what eyes see, and
+    above white what short exposures show.
+    """
+    return [luminance(perceived(read_exr(poses / v.image))).astype(np.float32) for v in rig.views]
 
 
 def reconstructed(

@@ -14,6 +14,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.images import (
     LARGEST_HALF,
     linear_to_srgb,
+    luminance,
     read_exr,
     read_png,
     srgb_to_linear,
@@ -22,6 +23,7 @@ from pipeline.base.images import (
 from pipeline.photos.capture import capture
 from pipeline.photos.decode import decode
 from pipeline.photos.given_cameras import read_transforms
+from pipeline.photos.radiance import Radiance
 from pipeline.photos.scene_files import find_photos, left_out
 
 PHOTO = (np.random.default_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
@@ -383,6 +385,36 @@ def test_no_other_layer_of_an_exr_is_taken_for_the_photo(scene, tmp_path):
         decode(file)
     with pytest.raises(InputError, match="neither R, G, B nor a single one"):
         read_exr(file)
+
+
+def exr_scene(folder: Path, unit: float) -> Path:
+    """Three linear photos of one thing, from other sides, in a unit of radiance."""
+    (folder / "images").mkdir(parents=True)
+    for k in range(3):
+        pixels = np.roll(srgb_to_linear(PHOTO / 255.0), 5 * k, 1)
+        write_exr(folder / "images" / f"{k}.exr", unit * pixels)
+    return folder
+
+
+@pytest.mark.parametrize("unit", [2.0**-9, 0.5, 1.0, 2.0**5, 2.0**20])
+def test_photos_in_any_unit_of_radiance_show_the_same(tmp_path, unit):
+    """To the bit, for a unit that is a power of two; the unit itself is written down."""
+    out, metrics, photos = run(exr_scene(tmp_path / "any", unit), tmp_path)
+    white = Radiance.load(out).white
+    assert white == metrics["white"] and (unit not in (0.5, 1.0) or white == 1.0)
+    for k in range(3):
+        mine = read_exr(out / "images" / f"{k}.exr")
+        expected = np.roll(srgb_to_linear(PHOTO / 255.0), 5 * k, 1) * (unit / white)
+        assert np.array_equal(mine, expected.astype(np.float16).astype(np.float32))
+        assert 0.1 < np.percentile(luminance(mine), 95) < 2
+    assert all(p["clip_level"] == 1e6 for p in photos)
+
+
+def test_integers_bring_their_unit_along(scene, tmp_path):
+    for k in range(4):
+        Image.fromarray(PHOTO // 16).save(scene / "images" / f"bild {k} ä.png")
+    out, _, _ = run(scene, tmp_path)
+    assert Radiance.load(out).white == 1.0
 
 
 def test_a_pixel_that_no_half_can_hold_is_a_lower_bound(scene, tmp_path):

@@ -1,9 +1,13 @@
 import json
 
+import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
+from pipeline.base.config import Poses
 from pipeline.base.errors import InputError
+from pipeline.base.images import write_exr
 from pipeline.geometry.cameras import Rig, View, load_cameras, save_cameras
 from pipeline.photos.given_cameras import Lens, read_transforms, turned_right
 from pipeline.photos.poses import (
@@ -13,6 +17,7 @@ from pipeline.photos.poses import (
     similarity,
     undistort,
 )
+from pipeline.photos.sfm import write_inputs
 
 
 def test_cameras_survive_the_disk(tmp_path, ring):
@@ -192,8 +197,6 @@ def test_cameras_that_would_be_misread_are_refused(tmp_path, more, fact):
 
 
 def _captured(tmp_path, pictures):
-    from PIL import Image
-
     from pipeline.base.config import Capture
     from pipeline.photos.capture import capture
 
@@ -208,7 +211,6 @@ def _captured(tmp_path, pictures):
 
 @pytest.mark.parametrize("kind", ["blank", "unrelated"])
 def test_photos_that_do_not_connect_are_refused(tmp_path, kind):
-    from pipeline.base.config import Poses
     from pipeline.photos.poses import make_poses
 
     rng = np.random.default_rng(3)
@@ -243,7 +245,6 @@ def _model(folder, names, ring):
 
 
 def test_colmap_folder_without_points_is_turned_upright(tmp_path, ring):
-    from pipeline.base.config import Poses
     from pipeline.photos.poses import make_poses
 
     noise = np.random.default_rng(0).integers(0, 255, (6, 64, 64, 3)).astype(np.uint8)
@@ -264,7 +265,6 @@ def test_colmap_folder_without_points_is_turned_upright(tmp_path, ring):
 
 
 def test_model_with_images_that_are_not_there_is_refused(tmp_path, ring):
-    from pipeline.base.config import Poses
     from pipeline.photos.poses import make_poses
 
     capture, scene, out = _captured(
@@ -305,11 +305,8 @@ def test_portraits_and_landscapes_of_one_camera_share_it(tmp_path, setting, came
     """Three landscapes and a portrait of one camera, and one of a longer lens, as COLMAP gets
     them: of one size, the portrait lying on its left side.
     """
-    from PIL import Image
-
-    from pipeline.base.config import Capture, Poses
+    from pipeline.base.config import Capture
     from pipeline.photos.capture import capture
-    from pipeline.photos.sfm import write_inputs
     from tests.photos.files import PICTURE
 
     (tmp_path / "scene" / "images").mkdir(parents=True)
@@ -337,9 +334,23 @@ def test_portraits_and_landscapes_of_one_camera_share_it(tmp_path, setting, came
             )
 
 
+def test_photos_are_matched_as_they_were_exposed(tmp_path):
+    """A short exposure over its gain is bright: at the scene's white it would be all white."""
+    (tmp_path / "images").mkdir()
+    (tmp_path / "matched").mkdir()
+    shown = np.random.default_rng(0).uniform(0.2, 0.9, (32, 48, 3)).astype(np.float32)
+    shown = cv2.GaussianBlur(shown, (0, 0), 3)
+    photos = []
+    for k, gain in enumerate((1.0, 1 / 16)):
+        write_exr(tmp_path / "images" / f"{k}.exr", shown / gain, half=True)
+        photos.append({"name": str(k), "gain": gain, "width": 48, "height": 32})
+    names, _ = write_inputs(tmp_path, photos, tmp_path / "matched", Poses())
+    one, two = (np.asarray(Image.open(tmp_path / "matched" / file)).astype(int) for file in names)
+    assert np.ptp(one) > 10 and np.array_equal(one, two)
+
+
 def test_saturated_pixels_reach_the_poses(tmp_path, ring):
     """Through undistortion, and by their own picture: their mean is far below the clip level."""
-    from pipeline.base.config import Poses
     from pipeline.base.images import read_exr, read_png
     from pipeline.photos.poses import make_poses
     from pipeline.photos.saturation import saturated

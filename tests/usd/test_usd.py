@@ -54,6 +54,16 @@ def test_validators_are_silent_and_users_files_untouched(exported):
     )
 
 
+def test_the_light_is_in_the_photos_unit(tmp_path, ball):
+    """Under work/ 1 stands for the scene's white."""
+    varied(0).save(tmp_path / "refine")
+    out = tmp_path / "exports" / "s.usda"
+    out.parent.mkdir()
+    export(ball, [tmp_path / "refine"], out, {}, white=16.0)
+    asset = read_asset(out, "sample_0").explanation
+    assert np.array_equal(asset.light, 16 * varied(0).light)
+
+
 def test_variants_switch_light_and_every_map(exported):
     _, out, _ = exported
     stage = Usd.Stage.Open(str(out))
