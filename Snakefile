@@ -249,7 +249,7 @@ rule sample:
         rules.fit.output,
         scene_files("priors"),
     output:
-        made("sample/{sample}", "sample.json", *EXPLANATION),
+        made("sample/{sample}", "sample.json", "draw.json", *EXPLANATION),
     log:
         "work/{scene}/logs/sample_{sample}.log",
     benchmark:

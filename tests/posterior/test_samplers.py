@@ -11,7 +11,9 @@ import pytest
 import torch
 
 from pipeline.base.config import Sample
-from pipeline.posterior.samplers import SAMPLERS
+from pipeline.base.errors import InputError
+from pipeline.posterior.draw_facts import DrawFacts
+from pipeline.posterior.samplers import SAMPLERS, Sampler
 from pipeline.posterior.split_gibbs import sampler
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.sampler import begun, gaussian_sweeps
@@ -138,6 +140,18 @@ def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):
 
 def test_the_configuration_knows_every_sampler():
     assert get_args(Sample.model_fields["method"].annotation) == tuple(SAMPLERS)
+
+
+def test_what_refinement_must_know_of_a_sampler_has_no_default(tmp_path):
+    """One that does not say whether it drew the light's scale is no sampler, and has no draw."""
+    with pytest.raises(TypeError, match="scale_drawn"):
+        Sampler(SAMPLERS["map"].draw, looks_at_the_light=True)
+    with pytest.raises(InputError, match="draw.json"):
+        DrawFacts.load(tmp_path)
+    for one in SAMPLERS.values():
+        DrawFacts(one.scale_drawn).save(tmp_path)
+        assert DrawFacts.load(tmp_path).scale_drawn == one.scale_drawn
+    assert [name for name in SAMPLERS if SAMPLERS[name].scale_drawn] == ["split_gibbs", "gaussian"]
 
 
 @pytest.mark.parametrize("name", list(SAMPLERS))
