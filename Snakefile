@@ -116,7 +116,7 @@ rule poses:
         "work/{scene}/benchmarks/poses.tsv"
     threads: 2
     params:
-        due=settings("poses", "poses"),
+        due=lambda w: (settings("poses", "poses")(w), ask(scenes.held_out, w.scene)),
     shell:
         command("poses", f"--capture {WORK}/capture --out {WORK}/poses")
 

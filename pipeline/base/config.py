@@ -161,7 +161,11 @@ class Observe(Section):
         1_500_000, ge=256, le=20_000_000, description="pixels drawn over all fit views"
     )
     held_out: float = Field(
-        0.1, ge=0, lt=0.6, description="share of views kept for scoring (at least 1 from 8 on)"
+        0.1,
+        ge=0,
+        lt=0.6,
+        description="share of photos kept for scoring, of which no stage learns anything (at least "
+        "1 from 8 on); 0: every photo is in the asset, which then has no score",
     )
     erode: float = Field(
         1.5, ge=0, le=20, description="pixels taken off the mask's edge: mixed with background"

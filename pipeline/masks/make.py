@@ -167,8 +167,10 @@ def said_of_things(facts: dict) -> list[str]:
 
 
 def make_masks(poses: Path, out: Path, settings: Masks, threads: int) -> dict:
-    """Write masks/<name>.png, confidence.json and overlay.jpg into `out`; returns metrics."""
-    rig = load_cameras(poses / "cameras.json")
+    """Write masks/<name>.png, confidence.json and overlay.jpg into `out`; returns metrics. Photos
+    that are kept for scoring have no part in it.
+    """
+    rig = load_cameras(poses / "cameras.json").training()
     method = choose(poses, rig, settings)
     masks, facts = MASKERS[method](poses, rig, settings, threads)
 

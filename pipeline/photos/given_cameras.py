@@ -217,16 +217,21 @@ def poses_of_model(
     out = {}
     for image in model.images.values():
         if image.has_pose and image.name in names:
-            world_to_camera = image.cam_from_world()
-            turn, shift = world_to_camera.rotation.quat, world_to_camera.translation
-            if not (np.isfinite([*turn, *shift]).all() and 0.01 < np.linalg.norm(turn) < 100):
-                raise InputError(
-                    f"the pose of image {image.name} is none",
-                    "sparse/0",
-                    "export the model again, or remove that image from it",
-                )
-            pose = np.eye(4)
-            pose[:3, :3] = Rotation.from_quat(turn).as_matrix()
-            pose[:3, 3] = shift
+            pose = pose_of_colmap(image.cam_from_world(), image.name)
             out[names[image.name]] = (lens_of_colmap(model.cameras[image.camera_id]), pose)
     return out
+
+
+def pose_of_colmap(world_to_camera: pycolmap.Rigid3d, name: str) -> np.ndarray:
+    """World-to-camera (4, 4) of the image called `name`. InputError where it is none."""
+    turn, shift = world_to_camera.rotation.quat, world_to_camera.translation
+    if not (np.isfinite([*turn, *shift]).all() and 0.01 < np.linalg.norm(turn) < 100):
+        raise InputError(
+            f"the pose of image {name} is none",
+            "sparse/0",
+            "export the model again, or remove that image from it",
+        )
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(turn).as_matrix()
+    pose[:3, 3] = shift
+    return pose

@@ -18,6 +18,7 @@ from pipeline.base.config import Poses
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, to_srgb8
 from pipeline.base.progress import progress
+from pipeline.photos.held_out import Placed, place, without_matches
 
 if TYPE_CHECKING:
     import pycolmap
@@ -145,9 +146,16 @@ def _largest(
 
 
 def _attempt(
-    folder: Path, tag: str, count: int, cameras: int, settings: Poses, threads: int
+    folder: Path,
+    tag: str,
+    count: int,
+    cameras: int,
+    held_out: list[str],
+    settings: Poses,
+    threads: int,
 ) -> tuple[pycolmap.Reconstruction | None, dict]:
-    """One run of extraction, matching and mapping; the model with most images, or None.
+    """One run of extraction, matching and mapping; the model with most images, or None. Files
+    `held_out` are matched and not mapped.
 
     Neighbours in COLMAP's sequence are those of one camera, so more of the photos are matched with
     all others where there are several.
@@ -169,7 +177,9 @@ def _attempt(
 
     _say("mapping", tag)
     options = _mapper_options(pycolmap.IncrementalPipelineOptions(), settings, threads)
-    models = pycolmap.incremental_mapping(database, images, folder / tag, options)
+    models = pycolmap.incremental_mapping(
+        _to_map(database, held_out), images, folder / tag, options
+    )
 
     best, registered = _largest(models)
     return best, {
@@ -179,8 +189,17 @@ def _attempt(
     }
 
 
+def _to_map(database: Path, held_out: list[str]) -> Path:
+    """The database that is mapped: without the matches of files that are held out."""
+    if not held_out:
+        return database
+    copy = database.with_name(f"{database.stem}-mapped.db")
+    without_matches(database, copy, held_out)
+    return copy
+
+
 def _global_attempt(
-    folder: Path, settings: Poses, threads: int
+    folder: Path, held_out: list[str], settings: Poses, threads: int
 ) -> tuple[pycolmap.Reconstruction | None, dict]:
     """Global mapping (GLOMAP) of the matches that the thorough attempt found."""
     import pycolmap
@@ -188,9 +207,8 @@ def _global_attempt(
     _say("mapping", "global")
     options = _mapper_options(pycolmap.GlobalPipelineOptions(), settings, threads)
     (folder / "global").mkdir()
-    models = pycolmap.global_mapping(
-        folder / "thorough.db", folder / "images", folder / "global", options
-    )
+    database = _to_map(folder / "thorough.db", held_out)
+    models = pycolmap.global_mapping(database, folder / "images", folder / "global", options)
 
     best, registered = _largest(models)
     return best, {"attempt": "global", "models": registered}
@@ -203,8 +221,9 @@ def registered_images(model: pycolmap.Reconstruction | None) -> int:
 
 def reconstruct(
     capture: Path, photos: list[dict], settings: Poses, threads: int
-) -> tuple[pycolmap.Reconstruction, dict[str, str], list[dict]]:
-    """(pycolmap Reconstruction, file name -> photo name, attempts). InputError when too few photos
+) -> tuple[pycolmap.Reconstruction, dict[str, str], dict[str, Placed], list[dict]]:
+    """(pycolmap Reconstruction of the photos whose `split` is "fit", file name -> photo name, the
+    others as far as they could be placed by file name, attempts). InputError when too few photos
     connect.
     """
     import pycolmap
@@ -215,56 +234,65 @@ def reconstruct(
         folder = Path(temporary)
         (folder / "images").mkdir()
         names, cameras = write_inputs(capture, photos, folder / "images", settings)
+        split = {p["name"]: p["split"] for p in photos}
+        held_out = [file for file, name in names.items() if split[name] == "test"]
+        count = len(photos) - len(held_out)
 
         best = None
+        matched = folder / "plain.db"
         attempts = []
         for tag in ("plain", "thorough", "global"):
             if tag == "global":
-                model, facts = _global_attempt(folder, settings, threads)
+                model, facts = _global_attempt(folder, held_out, settings, threads)
             else:
                 (folder / tag).mkdir()
-                model, facts = _attempt(folder, tag, len(photos), cameras, settings, threads)
+                model, facts = _attempt(
+                    folder, tag, len(photos), cameras, held_out, settings, threads
+                )
             attempts.append(facts | {"cameras": cameras})
 
             if registered_images(model) > registered_images(best):
                 best = model
+                matched = folder / ("plain.db" if tag == "plain" else "thorough.db")
             registered = registered_images(best)
-            if registered and registered >= settings.min_registered * len(photos):
+            if registered and registered >= settings.min_registered * count:
                 break
             print(
-                f"{registered} of {len(photos)} photos registered by the {tag} attempt",
+                f"{registered} of {count} photos registered by the {tag} attempt",
                 file=sys.stderr,
                 flush=True,
             )
+        placed = {} if best is None else place(matched, best, held_out)
 
-    if best is None or registered < max(3, 0.5 * len(photos)):
+    if best is None or registered < max(3, 0.5 * count):
         raise InputError(
-            f"only {registered} of {len(photos)} photos could be connected: "
+            f"only {registered} of {count} photos could be connected: "
             "too little overlap or texture",
             capture.parent.name,
             HINT,
         )
-    return best, names, attempts
+    return best, names, placed, attempts
 
 
 def sparse_points(
-    model: pycolmap.Reconstruction, order: dict[int, int]
+    model: pycolmap.Reconstruction, order: dict[int, int], others: dict[int, list[int]]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The model's points that two or more views see: xyz (n, 3), rgb (n, 3) uint8, reprojection
     error in pixels (n,), offsets (n + 1,), views. Point k is seen by views[offsets[k] : offsets[k +
-    1]]. `order`: the model's image number -> index of the view.
+    1]]. `order`: the model's image number -> index of the view; `others`: number of a point ->
+    views that see it too and have not made it.
     """
     xyz = []
     rgb = []
     error = []
     views = []
-    for point in model.points3D.values():
+    for number, point in model.points3D.items():
         seen = sorted({order[e.image_id] for e in point.track.elements if e.image_id in order})
         if len(seen) >= 2:
             xyz.append(point.xyz)
             rgb.append(point.color)
             error.append(point.error)
-            views.append(seen)
+            views.append(sorted({*seen, *others.get(number, [])}))
 
     offsets = np.concatenate([[0], np.cumsum([len(v) for v in views])])
     return (

@@ -72,19 +72,20 @@ def make_mesh(
         } | facts(mesh)
     else:
         given = json_entry(masks_folder / "masks.json", "method") == "given"
-        dense, how = reconstructed(rig, poses, masks_folder, settings, given, threads)
+        dense, how = reconstructed(rig.training(), poses, masks_folder, settings, given, threads)
         save_mesh(out / DENSE, dense)
         mesh, more = simplify(dense, settings.faces)
         metrics = how | more | {"normal_error": normal_wobble(mesh)}
     save_mesh(out / "mesh.ply", mesh)
     SurfaceFacts(metrics["normal_error"]).save(out)
     write_png(out / "preview.png", shaded(mesh))
-    kept = {v.name for v in rig.views}
+    kept = {v.name for v in rig.fit_views()}
     if metrics["method"] == "fused":
         kept = set(json_entry(masks_folder / "masks.json", "given"))
     metrics["mask_share_without_surface"] = surface_masks(
-        rig, masks_folder / "masks", mesh, out / "masks", kept
+        rig.training(), masks_folder / "masks", mesh, out / "masks", kept
     )
+    scoring_masks(rig, poses / "masks", mesh, out / "masks")
     return metrics
 
 
@@ -109,6 +110,17 @@ def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, kept: set[str]) 
         total += mask.sum()
         write_png(out / f"{v.name}.png", (mask if v.name in kept else covered) * np.uint8(255))
     return float(missed / max(total, 1))
+
+
+def scoring_masks(rig: Rig, given: Path, mesh: Mesh, out: Path) -> None:
+    """Write the mask of each view that is kept for scoring: the user's, where `given` has one, else
+    the surface's silhouette.
+    """
+    covered_in = Silhouette(mesh)
+    for v in rig.test_views():
+        file = given / f"{v.name}.png"
+        mask = read_png(file) > 127 if file.exists() else covered_in(v)
+        write_png(out / f"{v.name}.png", mask * np.uint8(255))
 
 
 def warnings_of(rig: Rig, masks: dict) -> list[str]:

@@ -25,6 +25,7 @@ from pipeline.base.progress import Bar
 from pipeline.base.runtime import set_threads
 from pipeline.geometry.cameras import Rig, View, save_cameras
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh
+from pipeline.photos.held_out import hold_out
 from pipeline.posterior.fit import fit
 from pipeline.posterior.problem import Problem
 from pipeline.posterior.refine import refine, units
@@ -94,6 +95,8 @@ def hostile(ball, tmp_path_factory) -> tuple[Problem, Explanation]:
             8,
         )
         write_png(folder / "masks" / f"v{k}.png", (seen.max(-1) > 0.2) * np.uint8(255))
+    marked = hold_out([{"name": v.name, "split": "fit"} for v in views], Observe())
+    views = [replace(v, split=p["split"]) for v, p in zip(views, marked)]
     save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.6, "transforms.json"))
     make_observations(folder, folder, folder / "mesh_uv.ply", folder, Observe(pixels=4000))
     problem = Problem(Observations(folder, folder / "cameras.json"), renderer, 0.1)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.base.config import Poses
+from pipeline.base.config import Observe, Poses
 from pipeline.base.errors import InputError
 from pipeline.base.images import write_exr
 from pipeline.geometry.cameras import Rig, View, load_cameras, save_cameras
@@ -18,6 +18,8 @@ from pipeline.photos.poses import (
     undistort,
 )
 from pipeline.photos.sfm import write_inputs
+
+ALL = Observe(held_out=0)  # every photo is used
 
 
 def test_cameras_survive_the_disk(tmp_path, ring):
@@ -221,7 +223,7 @@ def test_photos_that_do_not_connect_are_refused(tmp_path, kind):
         for _ in range(4)
     ]
     with pytest.raises(InputError, match="only 0 of 4 photos.*\n.*overlap"):
-        make_poses(*_captured(tmp_path, pictures), Poses(max_size=200, features=500), 2)
+        make_poses(*_captured(tmp_path, pictures), Poses(max_size=200, features=500), ALL, 2)
 
 
 def _model(folder, names, ring):
@@ -250,7 +252,7 @@ def test_colmap_folder_without_points_is_turned_upright(tmp_path, ring):
     noise = np.random.default_rng(0).integers(0, 255, (6, 64, 64, 3)).astype(np.uint8)
     capture, scene, out = _captured(tmp_path, list(noise))
     _model(scene / "sparse" / "0", [f"{k}.png" for k in range(6)], ring)
-    metrics = make_poses(capture, scene, out, Poses(), 2)
+    metrics = make_poses(capture, scene, out, Poses(), ALL, 2)
     rig = load_cameras(out / "cameras.json")
     assert (
         metrics["source"] == "colmap"
@@ -272,7 +274,7 @@ def test_model_with_images_that_are_not_there_is_refused(tmp_path, ring):
     )
     _model(scene / "sparse" / "0", [f"{k}.png" for k in range(3)] + ["lost.png"], ring)
     with pytest.raises(InputError, match="lost.png"):
-        make_poses(capture, scene, out, Poses(), 2)
+        make_poses(capture, scene, out, Poses(), ALL, 2)
 
 
 def test_a_lens_turned_by_a_quarter_sees_the_same_points_turned(ring):
@@ -359,7 +361,7 @@ def test_saturated_pixels_reach_the_poses(tmp_path, ring):
     noise[:, 20, 30, 1] = 255
     capture, scene, out = _captured(tmp_path, list(noise))
     _model(scene / "sparse" / "0", [f"{k}.png" for k in range(6)], ring)
-    make_poses(capture, scene, out, Poses(), 2)
+    make_poses(capture, scene, out, Poses(), ALL, 2)
     view = load_cameras(out / "cameras.json").views[0]
     assert np.argwhere(read_png(out / view.saturated)).tolist() == [[20, 30, 1]]
     photo = read_exr(out / view.image)

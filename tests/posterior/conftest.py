@@ -1,11 +1,14 @@
 """One small scene for all tests of the posterior: photos of a ball, its problem and its fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pipeline.base.config import Fit, Observe
 from pipeline.base.images import write_exr, write_png
 from pipeline.geometry.cameras import Rig, View, save_cameras
+from pipeline.photos.held_out import hold_out
 from pipeline.posterior.fit import fit
 from pipeline.posterior.problem import Problem
 from pipeline.prior.training.procedural import outdoor
@@ -41,6 +44,8 @@ def toy(ball, tmp_path_factory):
         write_exr(folder / view.image, picture)
         write_png(folder / "masks" / f"v{k}.png", (picture.max(-1) > 0) * np.uint8(255))
         views.append(view)
+    marked = hold_out([{"name": v.name, "split": "fit"} for v in views], Observe())
+    views = [replace(v, split=p["split"]) for v, p in zip(views, marked)]
     save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.6, "transforms.json"))
     make_observations(folder, folder, ball / "mesh_uv.ply", folder, Observe(pixels=4000))
     return folder, truth
