@@ -492,3 +492,14 @@ def test_a_mistyped_scene_leaves_nothing_behind(project):
     with pytest.raises(InputError, match="no such configuration"):
         Scenes({}, exclusive=lambda: True)("nowhere")
     assert not os.path.exists("work")
+
+
+def test_every_rule_states_its_memory_and_what_draws_is_on_one_thread():
+    """Sums of floats in any order would make every draw another."""
+    text = (ROOT / "Snakefile").read_text(encoding="utf-8")
+    rules = {part.split(":")[0]: part for part in text.split("\nrule ")[1:]}
+    assert set(STAGES) <= set(rules)
+    for name in STAGES:
+        assert "\n        mem_mb=" in rules[name], name
+    for name in ("fit", "sample", "refine"):
+        assert "threads: 2" not in rules[name], name
