@@ -36,6 +36,7 @@ from pipeline.photos.held_out import hold_out
 from pipeline.photos.photometry import gains, match_exposure, point_brightness
 from pipeline.photos.scene_files import camera_file
 from pipeline.photos.sfm import HINT, on_its_side, reconstruct, sparse_points
+from pipeline.photos.triangulate import triangulated
 from pipeline.photos.turntable import check, light_motion
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 # unit normal n, offset of the plane n.x = offset, share of inliers
 Plane: TypeAlias = tuple[np.ndarray, float, float]
 TRIPLES = 6000  # tries for the ground plane
+MOST_TILTED = 3.0  # degrees by which the ground may be out of level in the world of given cameras
 TOLERANCES = 0.004, 0.01  # of the cameras' distance, for points on the ground: fine, coarse
 
 
@@ -521,6 +523,30 @@ def _given(
     return kept, lenses, poses, center, 0.5 * float(distance), points, facts
 
 
+def ground_of_given(
+    xyz: np.ndarray, views: list[View], center: np.ndarray, radius: float, settings: Poses
+) -> tuple[np.ndarray, float, dict]:
+    """The ground in the world of given cameras, which is y = height there or not at all, and the
+    object's sphere above it: centre, radius and facts. Without such a ground the sphere stays.
+    """
+    told = [v.world_to_camera for v in views if v.split == "fit"]
+    middle = axes_meeting_point(told)
+    up = np.array([0.0, 1.0, 0.0])
+    plane = ground_plane(xyz, positions(told), up, middle, settings.seed)
+    if plane is None:
+        return center, radius, {"ground": "no ground plane among the matched points"}
+
+    normal, offset, share = plane
+    tilt = float(np.degrees(np.arccos(np.clip(normal @ up, -1, 1))))
+    if tilt > MOST_TILTED:
+        return center, radius, {"ground": f"tilted by {tilt:.1f} degrees against the cameras' up"}
+
+    center, radius, how = object_sphere(object_points(xyz, told, [], plane, None), told, plane)
+    height = (offset - normal[0] * center[0] - normal[2] * center[2]) / normal[1]
+    facts = {"normal": up, "offset": float(height), "inlier_share": share}
+    return center, 1.25 * radius, {"plane": facts, "ground": "found", "object_found_by": how}
+
+
 def _photometry(
     views: list[View],
     out: Path,
@@ -583,7 +609,11 @@ def make_poses(
     with_camera = {p["name"] for p in kept}
     facts["unregistered"] = [p["name"] for p in photos if p["name"] not in with_camera]
     views = write_views(capture, out, kept, lenses, poses)
-    if len(points["xyz"]):
+    if file and not any(p["has_mask"] for p in kept):
+        points = triangulated(views, out, settings, threads)
+        center, radius, ground = ground_of_given(points["xyz"], views, center, radius, settings)
+        facts |= ground
+    elif len(points["xyz"]):
         views, seen = _photometry(views, out, points, (center, radius), scene, settings)
         facts |= seen
 

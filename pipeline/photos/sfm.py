@@ -18,6 +18,7 @@ from pipeline.base.config import Poses
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, to_srgb8
 from pipeline.base.progress import progress
+from pipeline.geometry.cameras import View
 from pipeline.photos.held_out import Placed, place, without_matches
 
 if TYPE_CHECKING:
@@ -87,7 +88,39 @@ def _say(step: str, tag: str) -> None:
     print(f"{step} ({tag})", file=sys.stderr, flush=True)
 
 
-def _extract(database: Path, images: Path, settings: Poses, thorough: bool, threads: int) -> None:
+def write_matched(picture: Path, view: View, out: Path, most: int) -> View:
+    """An 8-bit copy, its long side at most `most` pixels, of a picture without distortion; the view
+    at its size.
+    """
+    image = Image.fromarray(to_srgb8(read_exr(picture)))
+    image.thumbnail((most, most), Image.Resampling.LANCZOS)
+    image.save(out, quality=97, subsampling=0)
+    return view.at_size(*image.size)
+
+
+def extract_each(database: Path, images: Path, settings: Poses, threads: int) -> None:
+    """Features of pictures, each with a camera of its own, into the database."""
+    import pycolmap
+
+    _say("features", "given cameras")
+    _extract(database, images, settings, False, threads, pycolmap.CameraMode.PER_IMAGE)
+
+
+def match_given(database: Path, count: int, settings: Poses, threads: int) -> None:
+    """Matches of the database's `count` pictures, which are one sequence."""
+    _say("matching", "given cameras")
+    exhaustive = settings.matching == "exhaustive" or settings.matching == "auto" and count <= 60
+    _match(database, exhaustive, False, threads)
+
+
+def _extract(
+    database: Path,
+    images: Path,
+    settings: Poses,
+    thorough: bool,
+    threads: int,
+    cameras: pycolmap.CameraMode,
+) -> None:
     """SIFT features of all photos into the database."""
     import pycolmap
 
@@ -106,7 +139,7 @@ def _extract(database: Path, images: Path, settings: Poses, thorough: bool, thre
         images,
         reader_options=reader,
         extraction_options=options,
-        camera_mode=pycolmap.CameraMode.PER_FOLDER,
+        camera_mode=cameras,
     )
 
 
@@ -166,7 +199,7 @@ def _attempt(
     database = folder / f"{tag}.db"
     images = folder / "images"
     _say("features", tag)
-    _extract(database, images, settings, thorough, threads)
+    _extract(database, images, settings, thorough, threads, pycolmap.CameraMode.PER_FOLDER)
 
     _say("matching", tag)
     if settings.matching == "auto":

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from pipeline.base.config import Capture, Observe, Poses
+from pipeline.base.files import write_json
 from pipeline.base.images import to_srgb8, write_png
-from pipeline.geometry.cameras import View, load_cameras
+from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP, View, load_cameras
 from pipeline.photos.capture import capture
 from pipeline.photos.poses import make_poses
 from tests.conftest import look_at
@@ -110,3 +111,25 @@ def test_photos_that_are_held_out_are_placed_and_nothing_is_made_from_them(photo
     owner = np.repeat(np.arange(len(points["xyz"])), np.diff(points["offsets"]))
     made_by = np.bincount(owner[np.isin(points["views"], index)], minlength=len(points["xyz"]))
     assert made_by.min() >= 2
+
+
+@pytest.mark.slow
+def test_known_cameras_without_masks_find_the_ground_they_stand_on(photographed, tmp_path):
+    scene = tmp_path / "scene"
+    scene.mkdir()
+    (scene / "images").symlink_to(photographed[0] / "images")
+    frames = []
+    for v in views():
+        pose = np.linalg.inv(Y_FROM_Z_UP) @ np.linalg.inv(v.world_to_camera) @ OPENCV_FROM_OPENGL
+        frames.append({"file_path": f"images/{v.name}.png", "transform_matrix": pose.tolist()})
+    write_json(scene / "transforms.json", {"fl_x": FOCAL, "frames": frames})
+
+    out = tmp_path / "poses"
+    out.mkdir()
+    facts = make_poses(photographed[1], scene, out, SETTINGS, Observe(held_out=0), 1)
+    rig = load_cameras(out / "cameras.json")
+    assert facts["ground"] == "found" and abs(rig.facts["plane"]["offset"]) < 0.01
+    assert np.linalg.norm(rig.center - [0, 0.25, 0]) < 0.2 and 0.3 < rig.radius < 1.2
+    for v, true in zip(rig.views, views()):
+        np.testing.assert_allclose(v.world_to_camera, true.world_to_camera, atol=1e-9)
+    assert len(np.load(out / "points.npz")["xyz"]) > 100
