@@ -134,7 +134,7 @@ rule masks:
         rules.poses.output,
         scene_files("network"),
     output:
-        made("masks", "masks.json", "confidence.json", "overlay.jpg"),
+        made("masks", "masks.json", "given.json", "confidence.json", "overlay.jpg"),
     log:
         "work/{scene}/logs/masks.log",
     benchmark:
@@ -317,7 +317,7 @@ rule refine:
 rule export:
     input:
         "work/{scene}/atlas/mesh_uv.ply",
-        "work/{scene}/poses/poses.json",
+        "work/{scene}/poses/cameras.json",
         "work/{scene}/capture/radiance.json",
         samples=refined,
     output:

@@ -5,12 +5,13 @@ USD validators.
 import argparse
 from pathlib import Path
 
-from pipeline.base.files import read_json, report_metrics
+from pipeline.base.files import report_metrics
 from pipeline.base.manifest import NAME, write_manifest
 from pipeline.run.stage import Stage, stage
 
 
 def work(s: Stage) -> None:
+    from pipeline.geometry.cameras import load_cameras
     from pipeline.photos.radiance import Radiance
     from pipeline.usd.write import export
 
@@ -19,7 +20,7 @@ def work(s: Stage) -> None:
         "sampler": s.scene.sample.method,
         "prior": s.scene.sample.prior,
         "seed": s.scene.sample.seed,
-        "poses": read_json(s.args.poses / "poses.json")["source"],
+        "poses": load_cameras(s.args.poses / "cameras.json").source,
         "meters_known": s.scene.poses.object_size is not None,
     }
     white = Radiance.load(s.args.capture).white

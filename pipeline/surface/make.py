@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.config import Mesh as MeshSettings
-from pipeline.base.files import json_entry, read_json
+from pipeline.base.files import read_json
 from pipeline.base.images import luminance, perceived, read_exr, read_png, write_png
 from pipeline.geometry.cameras import Rig, load_cameras
 from pipeline.geometry.mesh_io import Mesh, normal_wobble, save_mesh
+from pipeline.masks.facts import MaskFacts
 from pipeline.surface.bake import DENSE
 from pipeline.surface.clean import facts, simplify, to_mesh
 from pipeline.surface.depth import neighbours
@@ -71,7 +72,7 @@ def make_mesh(
             "normal_error": 0.0,
         } | facts(mesh)
     else:
-        given = json_entry(masks_folder / "masks.json", "method") == "given"
+        given = MaskFacts.load(masks_folder).all_given
         dense, how = reconstructed(rig.training(), poses, masks_folder, settings, given, threads)
         save_mesh(out / DENSE, dense)
         mesh, more = simplify(dense, settings.faces)
@@ -81,7 +82,7 @@ def make_mesh(
     write_png(out / "preview.png", shaded(mesh))
     kept = {v.name for v in rig.fit_views()}
     if metrics["method"] == "fused":
-        kept = set(json_entry(masks_folder / "masks.json", "given"))
+        kept = set(MaskFacts.load(masks_folder).given)
     metrics["mask_share_without_surface"] = surface_masks(
         rig.training(), masks_folder / "masks", mesh, out / "masks", kept
     )

@@ -8,7 +8,6 @@ import pycolmap
 import pytest
 
 from pipeline.base.config import Masks, Mesh, Observe
-from pipeline.base.files import report_metrics
 from pipeline.base.images import read_png, write_exr, write_png
 from pipeline.geometry.cameras import Rig, load_cameras, save_cameras
 from pipeline.photos.held_out import hold_out, place, without_matches
@@ -137,7 +136,6 @@ def test_no_stage_looks_at_a_photo_that_is_held_out(ring, tmp_path):
             write_exr(poses / v.image, np.where(inside[..., None], 0.5, 0.1), half=True)
 
     facts = make_masks(poses, tmp_path / "masks", Masks(), 1)
-    report_metrics(tmp_path / "masks" / "masks.json", facts)
     assert facts["method"] == "given" and "v3" not in facts["given"]
     settings = Mesh(method="hull", grid=48, faces=500)
     make_mesh(poses, tmp_path / "masks", tmp_path, tmp_path / "mesh", settings, 1)
