@@ -1,4 +1,4 @@
-"""Packing flat charts into one square, texel by texel.
+"""A packer to compare xatlas with: flat charts into one square, texel by texel.
 
 Charts are placed one after the other, largest first, each in one of four turns at the lowest free
 place; the scale is the largest at which all find one. A chart is a set of horizontal runs of
@@ -12,21 +12,20 @@ import numpy as np
 from numba import njit
 
 from pipeline.base.errors import InputError
+from pipeline.surface.pack import Chart, chart_area, turned, upright
 
 TRIES = 6  # of the scale
 DENSEST = 0.85  # share of the square that charts cover in the first try
 
 
-def packed(
-    charts: list[tuple[np.ndarray, np.ndarray]], resolution: int, padding: int
-) -> list[np.ndarray]:
+def tightly_packed(charts: list[Chart], resolution: int, padding: int) -> list[np.ndarray]:
     """The charts' coordinates (k, 2) in [0, 1]^2, no two nearer than `padding` texels.
 
     charts: each the coordinates (k, 2) and triangles (m, 3) of one chart, all in one unit. Raises
     InputError where they do not fit even at a tenth of the scale that their area asks for.
     """
-    boxed = [_upright(uv) for uv, _ in charts]
-    area = sum(_area(uv, corner) for uv, (_, corner) in zip(boxed, charts))
+    boxed = [upright(uv) for uv, _ in charts]
+    area = sum(chart_area(uv, corner) for uv, (_, corner) in zip(boxed, charts))
     most = (DENSEST * resolution**2 / area) ** 0.5
     low = 0.1 * most
     best = _placed(boxed, charts, low, resolution, padding)
@@ -48,23 +47,9 @@ def packed(
     return best
 
 
-def _area(uv: np.ndarray, corner: np.ndarray) -> float:
-    a, b, c = (uv[corner[:, k]] for k in range(3))
-    cross = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    return float(0.5 * np.abs(cross).sum())
-
-
-def _upright(uv: np.ndarray) -> np.ndarray:
-    """The chart turned so that its bounding box is smallest."""
-    _, _, degrees = cv2.minAreaRect(uv.astype(np.float32))
-    angle = np.radians(degrees)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return uv @ turn
-
-
 def _placed(
     boxed: list[np.ndarray],
-    charts: list[tuple[np.ndarray, np.ndarray]],
+    charts: list[Chart],
     scale: float,
     resolution: int,
     padding: int,
@@ -77,7 +62,7 @@ def _placed(
     for k in order:
         low = (resolution + 1, 0, 0)
         for turn in range(4):
-            uv = scale * _turned(boxed[k], turn)
+            uv = scale * turned(boxed[k], turn)
             uv = uv - uv.min(0) + margin
             runs, height, width = _runs(uv, charts[k][1], margin)
             row, column = _lowest(taken, runs, height, width, low[0])
@@ -90,13 +75,6 @@ def _placed(
         _take(taken, runs, low[1], low[2])
         out[k] = (uv + [low[2], low[1]]) / resolution
     return out
-
-
-def _turned(uv: np.ndarray, quarters: int) -> np.ndarray:
-    """u, v turned by quarters of a circle."""
-    for _ in range(quarters):
-        uv = np.stack([-uv[:, 1], uv[:, 0]], -1)
-    return uv
 
 
 def _runs(uv: np.ndarray, corner: np.ndarray, margin: int) -> tuple[np.ndarray, int, int]:

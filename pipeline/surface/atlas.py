@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,15 @@ from pipeline.base.config import Atlas
 from pipeline.base.errors import InputError
 from pipeline.base.images import write_png
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh, vertex_normals
-from pipeline.surface.charts import cut, flattened
+from pipeline.geometry.normal_maps import mirrored_share
+from pipeline.surface.charts import FlatChart, cut, flattened
 from pipeline.surface.pack import packed
 from pipeline.surface.plate import umbrella
 from pipeline.surface.raster import rasterize
 
 PACK_AT = 1024  # texels along a side at which charts are packed at most
 EVENING = 10  # times that vertices are moved towards their neighbours before charts are cut
+SHRUNK = 0.5  # of its true length a chart keeps at least: evening makes small loose parts vanish
 
 
 def judge(uv: np.ndarray, faces: np.ndarray, size: int = 1024) -> dict:
@@ -32,19 +35,20 @@ def judge(uv: np.ndarray, faces: np.ndarray, size: int = 1024) -> dict:
 
 
 def unwrap(mesh: Mesh, settings: Atlas) -> tuple[Mesh, int]:
-    """Few flat charts, packed into one square; vertices are split at seams, faces keep their
-    order. (Mesh with uv, number of charts). Raises InputError where the charts do not fit.
+    """Few flat charts, packed into one square by xatlas; vertices are split at seams, faces keep
+    their order. (Mesh with uv, number of charts). Raises InputError where the charts do not fit.
 
     Charts are cut and laid flat on an evened copy of the surface, so that lumps neither become
     charts nor take more texels than their surroundings. Above PACK_AT texels, charts are packed at
     that resolution, with the same share of the square as padding.
     """
-    even = _evened(mesh)
+    even = evened(mesh)
     charts = flattened(even, mesh.faces, cut(even, mesh.faces))
     corners = [np.searchsorted(c.index, mesh.faces[c.members]) for c in charts]
     resolution = min(settings.resolution, PACK_AT)
     padding = int(np.ceil(settings.padding * resolution / settings.resolution))
-    placed = packed([(c.uv, k) for c, k in zip(charts, corners)], resolution, padding)
+    flat = [(_kept(c, mesh), k) for c, k in zip(charts, corners)]
+    placed = packed(flat, resolution, padding)
 
     faces = np.empty_like(mesh.faces)
     start = 0
@@ -56,7 +60,14 @@ def unwrap(mesh: Mesh, settings: Atlas) -> tuple[Mesh, int]:
     return Mesh(mesh.vertices[index], faces, mesh.normals[index], uv), len(charts)
 
 
-def _evened(mesh: Mesh) -> np.ndarray:
+def _kept(chart: FlatChart, mesh: Mesh) -> np.ndarray:
+    """The chart's u, v (k, 2), enlarged where evening took more than SHRUNK of its length."""
+    true = np.linalg.norm(np.ptp(mesh.vertices[chart.index], axis=0))
+    laid = np.linalg.norm(np.ptp(chart.uv, axis=0))
+    return chart.uv * max(1.0, SHRUNK * true / max(laid, 1e-30))
+
+
+def evened(mesh: Mesh) -> np.ndarray:
     """The vertices (n, 3), moved EVENING times half-way to their neighbours' mean."""
     links = umbrella(len(mesh.vertices), mesh.faces)
     out = mesh.vertices.astype(float)
@@ -78,6 +89,7 @@ def make_atlas(mesh_path: Path, out: Path, settings: Atlas) -> dict:
     own = judge(mesh.uv, mesh.faces) if mesh.uv is not None else None
     if own and own["in_range"] and own["overlap"] < 0.005:
         kept = mesh
+        by = dict.fromkeys(("cut_by", "laid_out_by", "packed_by"), "the mesh's own UVs")
         facts = own
         charts = None
         why = "the mesh's own UVs are a valid atlas"
@@ -90,6 +102,7 @@ def make_atlas(mesh_path: Path, out: Path, settings: Atlas) -> dict:
             )
             mesh = weld(mesh)
         kept, charts = unwrap(mesh, settings)
+        by = made_by()
         assert kept.uv is not None
         facts = judge(kept.uv, kept.faces)
 
@@ -109,7 +122,17 @@ def make_atlas(mesh_path: Path, out: Path, settings: Atlas) -> dict:
         "why": why,
         "faces": len(kept.faces),
         "vertices": len(kept.vertices),
-    } | facts
+        "mirrored": mirrored_share(kept),
+    } | (by | facts)
+
+
+def made_by() -> dict[str, str]:
+    """Who cuts the surface into charts, lays them flat and packs them."""
+    return {
+        "cut_by": "heliograph",
+        "laid_out_by": "heliograph",
+        "packed_by": f"xatlas {metadata.version('xatlas')}",
+    }
 
 
 def weld(mesh: Mesh) -> Mesh:
