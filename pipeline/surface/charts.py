@@ -215,9 +215,14 @@ def flattened(vertices: np.ndarray, faces: np.ndarray, chart: np.ndarray) -> lis
         if len(corner) == 1 or not _overlaps(one.uv, corner, grid):
             out.append(one)
         else:
-            halves = _halves(vertices, faces[one.members], one.members)
-            out.extend(_laid_flat(vertices, faces, halves, grid))
+            out.extend(cut_again(vertices, faces, one))
     return out
+
+
+def cut_again(vertices: np.ndarray, faces: np.ndarray, chart: FlatChart) -> list[FlatChart]:
+    """A chart in two or more, none of which overlaps itself on texels half as large as a page's."""
+    halves = _halves(vertices, faces[chart.members], chart.members)
+    return _laid_flat(vertices, faces, halves, 2 * PAGE)
 
 
 def _laid_flat(

@@ -148,6 +148,9 @@ def test_overlapping_uvs_are_unwrapped_anew_and_good_ones_kept(tmp_path, ball):
     found = make_atlas(tmp_path / "bad.ply", tmp_path / "b", Atlas(resolution=64))
     assert found["charts"] and "overlap" in found["why"] and found["overlap"] == 0
     assert found["packed_by"].startswith("xatlas") and found["mirrored"] == 0
+    tight = make_atlas(tmp_path / "bad.ply", tmp_path / "b", Atlas(resolution=64, packer="tight"))
+    assert tight["packed_by"] == "heliograph" and tight["overlap"] == tight["mirrored"] == 0
+    assert tight["charts"] == found["charts"] and tight["utilisation"] != found["utilisation"]
     kept = load_mesh(tmp_path / "a" / "mesh_uv.ply")
     assert np.allclose(kept.uv[kept.faces], mesh.uv[mesh.faces], atol=1e-5)
 

@@ -1,4 +1,4 @@
-"""A packer to compare xatlas with: flat charts into one square, texel by texel.
+"""Packing flat charts into one square without a library, texel by texel (`atlas.packer: tight`).
 
 Charts are placed one after the other, largest first, each in one of four turns at the lowest free
 place; the scale is the largest at which all find one. A chart is a set of horizontal runs of
