@@ -149,6 +149,11 @@ class Atlas(Section):
         1024, ge=16, le=8192, description="texels along a side that padding is made for"
     )
     padding: int = Field(4, ge=0, le=32, description="texels between charts")
+    packer: Literal["xatlas", "tight"] = Field(
+        "xatlas",
+        description="who places the charts on the page; tight: Heliograph's own packer, whose page "
+        "is fuller where charts are many or ragged",
+    )
     normal_map: bool = Field(
         True, description="bake what decimation takes from the surface into a normal map"
     )

@@ -143,9 +143,14 @@ def test_overlapping_uvs_are_unwrapped_anew_and_good_ones_kept(tmp_path, ball):
     save_mesh(tmp_path / "good.ply", mesh)
     save_mesh(tmp_path / "bad.ply", Mesh(mesh.vertices, mesh.faces, mesh.normals, mesh.uv % 0.3))
     (tmp_path / "a").mkdir(), (tmp_path / "b").mkdir()
-    assert make_atlas(tmp_path / "good.ply", tmp_path / "a", Atlas(resolution=64))["charts"] is None
+    good = make_atlas(tmp_path / "good.ply", tmp_path / "a", Atlas(resolution=64))
+    assert good["charts"] is None and "own UVs" in good["packed_by"]
     found = make_atlas(tmp_path / "bad.ply", tmp_path / "b", Atlas(resolution=64))
-    assert found["charts"] and "overlap" in found["why"] and found["overlap"] < 0.01
+    assert found["charts"] and "overlap" in found["why"] and found["overlap"] == 0
+    assert found["packed_by"].startswith("xatlas") and found["mirrored"] == 0
+    tight = make_atlas(tmp_path / "bad.ply", tmp_path / "b", Atlas(resolution=64, packer="tight"))
+    assert tight["packed_by"] == "heliograph" and tight["overlap"] == tight["mirrored"] == 0
+    assert tight["charts"] == found["charts"] and tight["utilisation"] != found["utilisation"]
     kept = load_mesh(tmp_path / "a" / "mesh_uv.ply")
     assert np.allclose(kept.uv[kept.faces], mesh.uv[mesh.faces], atol=1e-5)
 
