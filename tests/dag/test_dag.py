@@ -12,6 +12,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +30,7 @@ from pipeline.render.renderer import Explanation, Renderer
 from pipeline.run.workflow import WAITS
 from pipeline.usd.check import check
 from tests.conftest import look_at
+from tests.seeds import numpy_rng, seeded
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = """
@@ -35,10 +38,15 @@ photos: "{photos}"
 preset: draft
 samples: {samples}
 atlas: {{resolution: 64, padding: 1}}
-observe: {{pixels: 3000}}
+observe: {{seed: {seed}, pixels: 3000}}
 render: {{max_depth: 3}}
-fit: {{steps: 20, learning_rate: 0.05, pixels: 400, spp: 2, texture: 16}}
-sample: {{prior: prior.safetensors, search_prior: search.safetensors, light: 16, texture: 16}}
+fit: {{seed: {seed}, steps: 20, learning_rate: 0.05, pixels: 400, spp: 2, texture: 16}}
+sample:
+  seed: {seed}
+  prior: prior.safetensors
+  search_prior: search.safetensors
+  light: 16
+  texture: 16
 refine: {{steps: 4, pixels: 300, spp: 2, texture: 48}}
 report: {{relight_size: 48, spp: 4}}
 """
@@ -48,6 +56,7 @@ CHOOSING = "choose: {enabled: true, texture: auto, bounces: auto, light: auto, m
 ODD = "it's $(touch hacked) b"
 CHAIN = {"capture", "poses", "masks", "mesh", "atlas", "observe"}
 CHAIN |= {"choose", "fit", "sample", "refine"}
+MOST_STEPS = 100_000  # of a fit: minutes on any machine, and it is killed long before
 DRAWS = {"sample", "refine", "export", "report"}
 
 
@@ -91,11 +100,11 @@ def project(tmp_path_factory, ball) -> Path:
     (scene / "masks").mkdir()
     (folder / "configs").mkdir()
     for name, samples, more in (("toy", 2, ""), (ODD, 1, CHOOSING)):
-        text = TINY.format(photos=scene.name, samples=samples) + more
+        text = TINY.format(photos=scene.name, samples=samples, seed=seeded(0)) + more
         (folder / "configs" / f"{name}.yaml").write_text(text, encoding="utf-8")
     shutil.copy(ROOT / "weights" / "prior_tiny.safetensors", folder / "prior.safetensors")
     shutil.copy(ROOT / "weights" / "gaussian_tiny.safetensors", folder / "search.safetensors")
-    light = outdoor(np.random.default_rng(4), 32, 64).astype(np.float32)
+    light = outdoor(numpy_rng(4), 32, 64).astype(np.float32)
     color = np.full((16, 16, 3), 0.5, np.float32)
     color[:8] = [0.6, 0.2, 0.1]
     truth = Explanation(
@@ -108,7 +117,9 @@ def project(tmp_path_factory, ball) -> Path:
     for k in range(9):
         a = 2 * np.pi * k / 9
         pose = look_at([2.2 * np.sin(a), 0.6 * (k % 3), 2.2 * np.cos(a)])
-        picture = render_view(renderer, truth, View("v", "", 48, 48, 80, 80, 24, 24, pose), 32)
+        picture = render_view(
+            renderer, truth, View("v", "", 48, 48, 80, 80, 24, 24, pose), 32, seeded(k)
+        )
         alpha = (picture.max(-1) > 0) * np.uint8(255)
         Image.fromarray(np.dstack([to_srgb8(picture), alpha])).save(
             scene / "images" / f"Bild {k}.png"
@@ -142,7 +153,6 @@ def files_in(folder: Path) -> dict[str, bytes]:
 
 
 def test_whole_chain_of_two_scenes_at_once(project, tmp_path):
-    start = time.time()
     logs = {scene: tmp_path / f"{k}.log" for k, scene in enumerate(("toy", ODD))}
     running = [
         subprocess.Popen(
@@ -154,8 +164,7 @@ def test_whole_chain_of_two_scenes_at_once(project, tmp_path):
         for scene, log in logs.items()
     ]
     for process, log in zip(running, logs.values(), strict=True):
-        assert process.wait(timeout=300) == 0, log.read_text()[-3000:]
-    print(f"two toy scenes through the DAG: {time.time() - start:.0f} s")
+        assert process.wait() == 0, log.read_text()[-3000:]
 
     for scene in logs:
         assert check(project / "exports" / f"{scene}.usda") == []
@@ -323,46 +332,51 @@ def test_a_killed_run_continues(project, tmp_path):
     """
     work, target = project / "work" / ODD, f"exports/{ODD}.usda"
     before = files_in(work / "fit")
-    running = subprocess.Popen(
-        command(project, target, "--config", "fit={steps: 20000}"),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        **surroundings(project),
-    )
-    wait_for(lambda: (work / ".partial-fit").exists())
-
-    refused = snakemake(project, target)
-    words = refused.stdout + refused.stderr
-    assert refused.returncode != 0 and "another run is at work on this scene" in words
-    assert "Traceback" not in words
-    assert "fit" in jobs(project, target, "--config", "fit={steps: 7}")  # a plan is none
-
-    os.kill(running.pid, signal.SIGKILL)
-    running.wait()
     log = tmp_path / "next.log"
-    following = subprocess.Popen(
-        command(project, target, "--config", "fit={steps: 8}"),
-        stdout=log.open("w"),
-        stderr=subprocess.STDOUT,
-        **surroundings(project),
-    )
-    wait_for(lambda: WAITS in log.read_text())
-    assert files_in(work / "fit") == before and following.poll() is None
+    endless = ("--config", f"fit={{steps: {MOST_STEPS}}}")
+    with left_behind(command(project, target, *endless), project) as running:
+        wait_for(lambda: (work / ".partial-fit").exists(), running)
 
-    os.killpg(running.pid, signal.SIGKILL)
-    assert following.wait(timeout=120) == 0, log.read_text()[-3000:]
+        refused = snakemake(project, target)
+        words = refused.stdout + refused.stderr
+        assert refused.returncode != 0 and "another run is at work on this scene" in words
+        assert "Traceback" not in words
+        assert "fit" in jobs(project, target, "--config", "fit={steps: 7}")  # a plan is none
+
+        os.kill(running.pid, signal.SIGKILL)
+        running.wait()
+        following = subprocess.Popen(
+            command(project, target, "--config", "fit={steps: 8}"),
+            stdout=log.open("w"),
+            stderr=subprocess.STDOUT,
+            **surroundings(project),
+        )
+        wait_for(lambda: WAITS in log.read_text(), following)
+        assert files_in(work / "fit") == before and following.poll() is None
+
+    assert following.wait() == 0, log.read_text()[-3000:]
     assert check(project / target) == [] and not (work / ".partial-fit").exists()
     assert files_in(work / "fit") != before
     assert jobs(project, target, "--config", "fit={steps: 8}") == set()
 
 
-def wait_for(happened) -> None:
-    """Until `happened()`, two minutes at most."""
-    deadline = time.time() + 120
-    while not happened() and time.time() < deadline:
-        time.sleep(0.2)
-    assert happened()
+@contextmanager
+def left_behind(words: list[str], folder: Path) -> Iterator[subprocess.Popen]:
+    """A run of these words in a process group of its own, all of which is killed at the end."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    running = subprocess.Popen(words, start_new_session=True, **quiet, **surroundings(folder))
+    try:
+        yield running
+    finally:
+        os.killpg(running.pid, signal.SIGKILL)
+        running.wait()
+
+
+def wait_for(happened, running: subprocess.Popen) -> None:
+    """Until `happened()`; a run that ends before has failed."""
+    while not happened():
+        assert running.poll() is None or happened()
+        time.sleep(0.1)
 
 
 def test_a_file_that_has_lost_its_end_is_made_again(project):

@@ -14,8 +14,9 @@ from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write
 from pipeline.photos.capture import capture
 from pipeline.photos.given_cameras import read_transforms
 from pipeline.photos.scene_files import find_photos
+from tests.seeds import numpy_rng
 
-PHOTO = (np.random.default_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
+PHOTO = (numpy_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
 
 
 @pytest.fixture
