@@ -204,7 +204,9 @@ def test_a_lamp_in_one_pixel_is_as_bright_as_it_is(scene, ball):
         renderer.set(uniform(light, 1.0, 0.0, 0.5))
         truth = traced(renderer, observations, rows, 1024)[:, 0]
         error.append((0.5 * U + W)[:, lamp].mean() * 100 / truth.mean() - 1)
-    assert np.abs(error).mean() < 0.03
+    # one lamp's error has a deviation of 3 %, by where in its cells the jitter lies: bounds at
+    # p < 1e-4 for the mean of eight, and for what they differ by
+    assert abs(np.mean(error)) < 4.5 * 0.03 / np.sqrt(8) and np.std(error) < 2.3 * 0.03
 
 
 def test_light_between_parts_adds_up():
@@ -269,15 +271,17 @@ def test_a_curved_patch_is_the_mean_of_its_pixels(bumps, scene, r, share):
 
 
 def test_the_meshs_error_is_taken_out_of_the_spread():
-    """Normals that spread by .2 per axis, .12 of it the mesh's: .16 stays; none where all is."""
+    """Normals that spread by .02 per axis, .012 of it the mesh's: .016 stays, to five standard
+    errors; none where all is. (Of wider ones the slopes, tangents, are no angles any more.)
+    """
     rng = numpy_rng(0)
-    normal = np.concatenate([0.2 * rng.normal(size=(50, 4000, 2)), np.ones((50, 4000, 1))], -1)
+    normal = np.concatenate([0.02 * rng.normal(size=(50, 4000, 2)), np.ones((50, 4000, 1))], -1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     slope = lambda n: n[..., :2] / n[..., 2:]
     spread = lambda sigma: slope(without_error(normal, sigma)).std(1).mean()
     np.testing.assert_allclose(without_error(normal, 0.0), normal, atol=1e-12)
-    assert abs(spread(0.12) / 0.16 - 1) < 0.05
-    assert spread(0.5) < 1e-6
+    assert abs(spread(0.012) / 0.016 - 1) < 0.01
+    assert spread(0.05) < 1e-6
 
 
 def test_normals_in_error_show_a_broader_lobe(ball, scene, tmp_path):
