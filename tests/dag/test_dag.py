@@ -2,7 +2,7 @@
 re-running it does.
 
 The tests share one project and follow each other: each leaves it as it found it, up to
-`test_a_failed_stage_is_due_again`, from where on the scene ODD is not up to date.
+`test_a_file_that_has_lost_its_end_is_made_again`, from where on the scene ODD is not up to date.
 """
 
 import json
@@ -20,12 +20,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.base.images import read_exr, to_srgb8
+from pipeline.base.images import read_exr, read_png, to_srgb8
 from pipeline.geometry.cameras import Y_FROM_Z_UP, View
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh
 from pipeline.prior.training.procedural import outdoor
 from pipeline.prior.value_code import scale_of
-from pipeline.render.metrics import render_view
+from pipeline.render.metrics import psnr, render_view
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.run.workflow import WAITS
 from pipeline.usd.check import check
@@ -152,6 +152,14 @@ def files_in(folder: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() for p in folder.iterdir()}
 
 
+def psnr_of_one_colour(work: Path) -> float:
+    """Of the held-out photo's own mean colour all over the object."""
+    (name,) = json.loads((work / "observe/observe.json").read_text())["held_out"]
+    photo = read_exr(work / f"capture/images/{name}.exr")
+    mask = read_png(work / f"mesh/masks/{name}.png") > 127
+    return psnr(np.broadcast_to(photo[mask].mean(0), photo.shape), photo, mask)
+
+
 def test_whole_chain_of_two_scenes_at_once(project, tmp_path):
     logs = {scene: tmp_path / f"{k}.log" for k, scene in enumerate(("toy", ODD))}
     running = [
@@ -172,7 +180,9 @@ def test_whole_chain_of_two_scenes_at_once(project, tmp_path):
         assert report.count("data:image/") > 12
         assert "http://" not in report and "https://" not in report
         refined = json.loads((project / f"work/{scene}/refine/0/refine.json").read_text())
-        assert refined["held_out_psnr"] > 23
+        # at most half the squared error of a picture of one colour, which scores 10 dB less than
+        # these short chains do
+        assert refined["held_out_psnr"] > psnr_of_one_colour(project / "work" / scene) + 3
     assert not list(project.rglob(".partial-*"))
     assert not list(project.rglob("hacked")) and not (ROOT / "hacked").exists()
 
@@ -311,6 +321,21 @@ def test_sample_alone_equals_sample_among_others(project, tmp_path):
         ).read_bytes()
 
 
+def test_a_file_that_has_lost_its_end_is_made_again(project):
+    """With its time kept, as after a power cut: nothing else tells."""
+    target = f"work/{ODD}/refine/0/refine.json"
+    file = project / "work" / ODD / "refine/0/roughness.exr"
+    whole, at = file.read_bytes(), file.stat().st_mtime_ns
+    os.truncate(file, len(whole) // 2)
+    os.utime(file, ns=(at, at))
+    assert jobs(project, f"exports/{ODD}.usda") == {"refine", "export"}
+
+    done = snakemake(project, target)
+    assert done.returncode == 0 and "refine_0 is made again" in done.stderr, done.stderr[-3000:]
+    assert len(file.read_bytes()) == len(whole)
+    assert jobs(project, target) == set()
+
+
 def test_a_failed_stage_is_due_again(project):
     """Its old result and all made from it stay in place, but do not pass for up to date."""
     work, more = project / "work" / ODD, ("--config", "fit={steps: 9}")
@@ -330,7 +355,7 @@ def test_a_killed_run_continues(project, tmp_path):
     next run waits for the stage that was left behind, and when that is killed too, finishes the
     work. Before, the scene was refused to a second run.
     """
-    work, target = project / "work" / ODD, f"exports/{ODD}.usda"
+    work, target = project / "work" / ODD, f"work/{ODD}/fit/fit.json"
     before = files_in(work / "fit")
     log = tmp_path / "next.log"
     endless = ("--config", f"fit={{steps: {MOST_STEPS}}}")
@@ -355,9 +380,9 @@ def test_a_killed_run_continues(project, tmp_path):
         assert files_in(work / "fit") == before and following.poll() is None
 
     assert following.wait() == 0, log.read_text()[-3000:]
-    assert check(project / target) == [] and not (work / ".partial-fit").exists()
-    assert files_in(work / "fit") != before
-    assert jobs(project, target, "--config", "fit={steps: 8}") == set()
+    assert files_in(work / "fit") != before and not (work / ".partial-fit").exists()
+    later = jobs(project, f"exports/{ODD}.usda", "--config", "fit={steps: 8}")
+    assert later == {"sample", "refine", "export"}
 
 
 @contextmanager
@@ -377,21 +402,6 @@ def wait_for(happened, running: subprocess.Popen) -> None:
     while not happened():
         assert running.poll() is None or happened()
         time.sleep(0.1)
-
-
-def test_a_file_that_has_lost_its_end_is_made_again(project):
-    """With its time kept, as after a power cut: nothing else tells."""
-    file, target = project / "work" / ODD / "refine/0/roughness.exr", f"exports/{ODD}.usda"
-    more = ("--config", "fit={steps: 8}")
-    whole, at = file.read_bytes(), file.stat().st_mtime_ns
-    os.truncate(file, len(whole) // 2)
-    os.utime(file, ns=(at, at))
-    assert jobs(project, target, *more) == {"refine", "export"}
-
-    done = snakemake(project, target, *more)
-    assert done.returncode == 0 and "refine_0 is made again" in done.stderr, done.stderr[-3000:]
-    assert len(file.read_bytes()) == len(whole)
-    assert jobs(project, target, *more) == set()
 
 
 @pytest.mark.parametrize("name", ["-rf", "a{b}"])
