@@ -10,22 +10,34 @@ Every test belongs to one tier, and its marker is set here:
     unit    all others: `pytest -m unit`
 """
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline.base import runtime  # isort: skip  (first: it points Dr.Jit at its LLVM)
-import drjit
+from pipeline.base import runtime
+from tests import seeds
 
-# Of torch and BLAS: these matrices are too small to share, and on a busy machine two threads that
-# wait for each other are ten times slower than one. Dr.Jit takes all cores.
+# The tests are small, and two workers share the cores: threads that wait for each other on a busy
+# machine are ten times slower than one.
 runtime.set_threads(1)
-drjit.set_thread_count(os.cpu_count())
 
 TESTS = Path(__file__).resolve().parent
 COLLECTED = pytest.StashKey[list]()  # all tests found, those left out by -m too
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--seed-offset",
+        type=int,
+        default=0,
+        metavar="N",
+        help="added to every seed of the tests: they hold for all of them",
+    )
+
+
+def pytest_configure(config):
+    seeds.offset = config.getoption("--seed-offset")
 
 
 def tier_of(path: Path, marks: set[str], fixtures=()) -> str:
@@ -42,12 +54,20 @@ def tier_of(path: Path, marks: set[str], fixtures=()) -> str:
     return tier
 
 
+def group_of(path: Path, fixtures=()) -> str:
+    """Tests of one group run on one worker, in order: those of a file, which share its fixtures,
+    and those with the posterior's scene, which takes seconds to make.
+    """
+    return "toy" if "toy" in fixtures else str(path.relative_to(TESTS))
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Mark every test with its tier, before -m selects."""
+    """Mark every test with its tier, before -m selects, and with its group."""
     for item in items:
         marks = {mark.name for mark in item.iter_markers()}
         item.add_marker(tier_of(item.path, marks, item.fixturenames))
+        item.add_marker(pytest.mark.xdist_group(group_of(item.path, item.fixturenames)))
     config.stash[COLLECTED] = list(items)
 
 

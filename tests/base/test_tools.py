@@ -15,6 +15,7 @@ from pipeline.base.files import atomic_path, read_json, stage_folder, write_json
 from pipeline.base.progress import progress
 from pipeline.base.runtime import set_threads
 from pipeline.render.metrics import light_psnr, psnr
+from tests.seeds import numpy_rng
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -178,7 +179,7 @@ def test_psnr_of_known_errors():
 
 
 def test_psnr_of_two_noisy_renders_is_that_of_the_picture_without_noise():
-    rng, photo = np.random.default_rng(0), np.full((100, 100, 3), 0.3)
+    rng, photo = numpy_rng(0), np.full((100, 100, 3), 0.3)
     shown = 1.2 * photo
     noisy = lambda: shown + rng.normal(scale=0.025, size=shown.shape)
     a, b = noisy(), noisy()
@@ -189,7 +190,7 @@ def test_psnr_of_two_noisy_renders_is_that_of_the_picture_without_noise():
 
 
 def test_light_psnr_ignores_one_scale():
-    env = np.random.default_rng(0).uniform(0.1, 2, (8, 16, 3))
+    env = numpy_rng(0).uniform(0.1, 2, (8, 16, 3))
     assert light_psnr(env, 3 * env) > 80 > light_psnr(env, env[::-1])
 
 

@@ -35,6 +35,7 @@ from pipeline.render.metrics import render_view
 from pipeline.render.observe import Observations, make_observations
 from pipeline.render.renderer import Explanation, Renderer
 from tests.conftest import look_at
+from tests.seeds import numpy_rng
 
 pytestmark = pytest.mark.heavy
 LONG = Sample(
@@ -72,7 +73,7 @@ def hostile(ball, tmp_path_factory) -> tuple[Problem, Explanation]:
     )
     color = np.full((32, 32, 3), 0.6, np.float32)
     color[8:20], color[:, ::8] = 0.0, [0.9, 0.0, 0.0]
-    light = np.random.default_rng(0).gamma(0.3, 2.0, (32, 64, 3)).astype(np.float32)
+    light = numpy_rng(0).gamma(0.3, 2.0, (32, 64, 3)).astype(np.float32)
     light[20:], light[4, 9] = 0.0, 3000.0
     truth = Explanation(
         light, color, np.full((32, 32), 0.3, np.float32), np.zeros((32, 32), np.float32)

@@ -25,8 +25,9 @@ from pipeline.photos.decode import decode
 from pipeline.photos.given_cameras import read_transforms
 from pipeline.photos.radiance import Radiance
 from pipeline.photos.scene_files import find_photos, left_out
+from tests.seeds import numpy_rng
 
-PHOTO = (np.random.default_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
+PHOTO = (numpy_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from pipeline.photos.poses import (
     undistort,
 )
 from pipeline.photos.sfm import write_inputs
+from tests.seeds import numpy_rng
 
 ALL = Observe(held_out=0)  # every photo is used
 
@@ -33,7 +34,7 @@ def test_cameras_survive_the_disk(tmp_path, ring):
 
 def test_rays_and_projection_are_inverse(ring):
     view = ring(5)[3]
-    uv = np.random.default_rng(0).uniform(0, 64, (50, 2))
+    uv = numpy_rng(0).uniform(0, 64, (50, 2))
     o, d = view.rays(uv)
     back, depth = view.project(o + 2.5 * d)
     assert np.allclose(back, uv) and (depth > 0).all() and np.allclose(np.linalg.norm(d, axis=1), 1)
@@ -106,7 +107,7 @@ def test_colmap_model_passes_through(tmp_path):
 
 
 def test_ground_is_found_and_turned_level(ring):
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     tilt = rotation_to_y(np.array([0.2, 0.9, 0.1]) / np.linalg.norm([0.2, 0.9, 0.1])).T
     flat = np.concatenate(
         [
@@ -127,7 +128,7 @@ def test_ground_is_found_and_turned_level(ring):
 
 def test_any_direction_is_turned_up():
     """+Y itself, its opposite and what is near it too."""
-    random = np.random.default_rng(0).normal(size=(20, 3))
+    random = numpy_rng(0).normal(size=(20, 3))
     near_down = [[d, -1, 0.5 * d] for d in (0, 1e-6, 1e-3)]
     for up in [*random, *near_down, [0, 1, 0]]:
         up = np.array(up, float) / np.linalg.norm(up)
@@ -140,7 +141,7 @@ def test_any_direction_is_turned_up():
 
 
 def test_no_ground_in_a_cloud_of_points(ring):
-    cloud = np.random.default_rng(0).normal(size=(500, 3))
+    cloud = numpy_rng(0).normal(size=(500, 3))
     centers = np.stack([v.position for v in ring(8)])
     assert ground_plane(cloud, centers, np.array([0, 1.0, 0]), np.zeros(3), 0) is None
 
@@ -215,7 +216,7 @@ def _captured(tmp_path, pictures):
 def test_photos_that_do_not_connect_are_refused(tmp_path, kind):
     from pipeline.photos.poses import make_poses
 
-    rng = np.random.default_rng(3)
+    rng = numpy_rng(3)
     pictures = [
         np.full((90, 120, 3), 120, np.uint8)
         if kind == "blank"
@@ -249,7 +250,7 @@ def _model(folder, names, ring):
 def test_colmap_folder_without_points_is_turned_upright(tmp_path, ring):
     from pipeline.photos.poses import make_poses
 
-    noise = np.random.default_rng(0).integers(0, 255, (6, 64, 64, 3)).astype(np.uint8)
+    noise = numpy_rng(0).integers(0, 255, (6, 64, 64, 3)).astype(np.uint8)
     capture, scene, out = _captured(tmp_path, list(noise))
     _model(scene / "sparse" / "0", [f"{k}.png" for k in range(6)], ring)
     metrics = make_poses(capture, scene, out, Poses(), ALL, 2)
@@ -284,7 +285,7 @@ def test_a_lens_turned_by_a_quarter_sees_the_same_points_turned(ring):
     view = ring(5)[2]
     lens = Lens(90, 64, 80.0, 82.0, 44.0, 33.0, (-0.2, 0.05, 0.01, -0.02))
     turned, pose = turned_right(lens, view.world_to_camera)
-    points = np.random.default_rng(0).uniform(-0.4, 0.4, (50, 3))
+    points = numpy_rng(0).uniform(-0.4, 0.4, (50, 3))
     before = _distorted(lens, view.world_to_camera, points)
     after = _distorted(turned, pose, points)
     np.testing.assert_allclose(after, np.stack([64 - before[:, 1], before[:, 0]], 1), atol=1e-9)
@@ -357,7 +358,7 @@ def test_saturated_pixels_reach_the_poses(tmp_path, ring):
     from pipeline.photos.poses import make_poses
     from pipeline.photos.saturation import saturated
 
-    noise = np.random.default_rng(0).integers(0, 200, (6, 64, 64, 3)).astype(np.uint8)
+    noise = numpy_rng(0).integers(0, 200, (6, 64, 64, 3)).astype(np.uint8)
     noise[:, 20, 30, 1] = 255
     capture, scene, out = _captured(tmp_path, list(noise))
     _model(scene / "sparse" / "0", [f"{k}.png" for k in range(6)], ring)

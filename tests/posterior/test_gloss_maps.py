@@ -12,6 +12,7 @@ from pipeline.base.progress import Bar
 from pipeline.posterior.gloss_maps import FREEDOM, gain, simplest_gloss, split, with_pixels
 from pipeline.posterior.problem import Problem
 from pipeline.posterior.refine import refine, solve_base_color, units
+from tests.seeds import numpy_rng, seeded
 
 
 def photographed(problem, truth, seed=0):
@@ -20,17 +21,17 @@ def photographed(problem, truth, seed=0):
     everywhere = np.arange(len(observations))
     problem.renderer.set(truth)
     rays = lambda rng: observations.rays(everywhere, rng)
-    observations.rgb = problem.renderer.mean_radiance(rays, 128, seed)
+    observations.rgb = problem.renderer.mean_radiance(rays, 128, seeded(seed))
     observations.clipped = np.zeros(observations.rgb.shape, bool)
     return Problem(observations, problem.renderer, problem.roughness_min)
 
 
 def solve(problem, explanation):
-    return solve_base_color(problem, explanation, 4000, np.random.default_rng(0))[0]
+    return solve_base_color(problem, explanation, 4000, numpy_rng(0))[0]
 
 
 def decided(problem, explanation):
-    rng = np.random.default_rng(1)
+    rng = numpy_rng(1)
     return simplest_gloss(problem, explanation, split(problem.observations, rng), solve, rng)
 
 
@@ -44,7 +45,7 @@ def in_halves(truth, one, other):
 def test_a_map_that_wobbles_about_one_value_is_a_number(problem, toy):
     """The photos show roughness .4 and no metal; the maps add noise of their own to either."""
     truth = toy[1]
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     noisy = replace(
         truth,
         roughness=(0.4 + rng.uniform(-0.05, 0.05, truth.roughness.shape)).astype(np.float32),
@@ -86,7 +87,7 @@ def test_metal_all_over_is_one_value_and_not_none(problem, toy):
 
 def test_judging_pixels_are_whole_blocks_that_make_no_map(problem):
     observations = problem.observations
-    parts = split(observations, np.random.default_rng(0))
+    parts = split(observations, numpy_rng(0))
     assert not set(parts.kept) & set(parts.judged)
     assert len(parts.judged) / len(observations) == pytest.approx(0.2, abs=0.03)
 
@@ -100,10 +101,10 @@ def test_judging_pixels_are_whole_blocks_that_make_no_map(problem):
 
 def test_a_few_blocks_judge_nothing(problem, start):
     few = with_pixels(problem, np.arange(150))
-    assert split(few.observations, np.random.default_rng(0)) is None
+    assert split(few.observations, numpy_rng(0)) is None
     settings = Refine(steps=0, pixels=100, texture=32, shading_pixels=1000, gloss="tested")
     with Bar("refine", units(settings)) as bar:
-        _, facts = refine(few, few, start[0], settings, 0, bar)
+        _, facts = refine(few, few, start[0], settings, seeded(0), bar)
     assert facts["gloss"] == {"why": "maps stay: too few blocks of pixels to judge them by"}
 
 
@@ -127,7 +128,7 @@ def test_a_few_wild_pixels_do_not_hide_what_all_others_say():
     """Of 4000 pixels in 400 blocks all gain a little by the maps; 1 % have errors a thousand times
     as large, which come and go.
     """
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     rich = rng.normal(size=4000) ** 2
     simple = 1.3 * rich
     wild = rng.random(4000) < 0.01
@@ -140,7 +141,7 @@ def test_a_few_wild_pixels_do_not_hide_what_all_others_say():
 def test_refinement_says_what_it_chose(problem, start):
     settings = Refine(steps=2, pixels=300, texture=32, shading_pixels=8000, gloss="tested")
     with Bar("refine", units(settings)) as bar:
-        refined, facts = refine(problem, problem, start[0], settings, 0, bar)
+        refined, facts = refine(problem, problem, start[0], settings, seeded(0), bar)
     for name in ("roughness", "metallic"):
         one = np.ptp(getattr(refined, name)) < 1e-6
         assert one == (facts["gloss"][name]["chosen"] != "map")

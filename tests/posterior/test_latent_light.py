@@ -10,13 +10,14 @@ from pipeline.posterior.check_settings import check_settings
 from pipeline.posterior.illumination.latent import LatentLight
 from pipeline.prior.generators import load_generator
 from pipeline.render.envmap import mean_radiance, solid_angles
+from tests.seeds import numpy_rng, torch_rng
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 NAMES = ("gan_latent", "equivariant_field")
 
 
 def latents(generator, seed: int) -> torch.Tensor:
-    return torch.randn((1, *generator.latents), generator=torch.Generator().manual_seed(seed))
+    return torch.randn((1, *generator.latents), generator=torch_rng(seed))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -34,7 +35,7 @@ def test_its_slope_is_that_of_loss_and_prior(name):
     generator = load_generator(name)
     z = latents(generator, 1)
     light = LatentLight(generator, z, 32, 1.0, 0.7, 0.0)
-    slope = np.random.default_rng(0).normal(size=(32, 64, 3)).astype(np.float32) / 6144
+    slope = numpy_rng(0).normal(size=(32, 64, 3)).astype(np.float32) / 6144
     light.step(slope, light.light())
     along = latents(generator, 2)
 

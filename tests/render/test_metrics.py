@@ -15,18 +15,19 @@ from pipeline.render.metrics import (
     some_of,
     standard_error,
 )
+from tests.seeds import numpy_rng
 
 
 def test_some_of_a_mask():
     mask = np.zeros((40, 50), bool)
     mask[5:25, 10:40] = True
-    chosen = some_of(mask, 0.1, np.random.default_rng(0))
+    chosen = some_of(mask, 0.1, numpy_rng(0))
     assert chosen.sum() == 60 and not (chosen & ~mask).any()
-    assert (some_of(mask, 7.0, np.random.default_rng(0)) == mask).all()
+    assert (some_of(mask, 7.0, numpy_rng(0)) == mask).all()
 
 
 def test_standard_error_is_the_spread_of_scores():
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     truth = rng.random((80, 100, 3)).astype(np.float32)
     picture = truth + 0.1 * rng.standard_t(5, truth.shape).astype(np.float32)
     everywhere = np.ones(truth.shape[:2], bool)
@@ -43,7 +44,7 @@ def test_standard_error_is_the_spread_of_scores():
 
 
 def test_all_pixels_leave_no_error_and_one_of_several_has_none():
-    error = np.random.default_rng(0).random((50, 3))
+    error = numpy_rng(0).random((50, 3))
     assert standard_error(error, 50) == 0
     assert standard_error(error[:1], 1) == 0
     with pytest.raises(ValueError, match="1 pixel out of 50"):
@@ -70,7 +71,7 @@ def test_a_view_that_shows_next_to_nothing_is_scored_and_written_down(tmp_path, 
         mask = np.zeros(64 * 64, bool)
         mask[:pixels] = True
         view = View(name, "", 64, 64, 64, 64, 32, 32, np.eye(4))
-        photo = np.random.default_rng(3).random((64, 64, 3)).astype(np.float32)
+        photo = numpy_rng(3).random((64, 64, 3)).astype(np.float32)
         held_out.append((view, photo, mask.reshape(64, 64)))
 
     problem = SimpleNamespace(renderer=FlatRenderer())

@@ -15,6 +15,7 @@ from pipeline.surface.atlas import judge, unwrap
 from pipeline.surface.charts import adjacency, cut, flattened
 from pipeline.surface.pack import packed
 from pipeline.surface.raster import rasterize
+from tests.seeds import numpy_rng
 
 SQUARE = (np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 
@@ -23,7 +24,7 @@ def lumpy_ball():
     ico = import_open3d().geometry.TriangleMesh.create_icosahedron().subdivide_loop(3)
     vertices = np.asarray(ico.vertices)
     vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
-    vertices = vertices * (1 + np.random.default_rng(0).normal(0, 0.02, (len(vertices), 1)))
+    vertices = vertices * (1 + numpy_rng(0).normal(0, 0.02, (len(vertices), 1)))
     faces = np.asarray(ico.triangles).astype(np.int64)
     return Mesh(vertices, faces, vertex_normals(vertices, faces))
 
