@@ -54,20 +54,12 @@ def tier_of(path: Path, marks: set[str], fixtures=()) -> str:
     return tier
 
 
-def group_of(path: Path, fixtures=()) -> str:
-    """Tests of one group run on one worker, in order: those of a file, which share its fixtures,
-    and those with the posterior's scene, which takes seconds to make.
-    """
-    return "toy" if "toy" in fixtures else str(path.relative_to(TESTS))
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Mark every test with its tier, before -m selects, and with its group."""
+    """Mark every test with its tier, before -m selects."""
     for item in items:
         marks = {mark.name for mark in item.iter_markers()}
         item.add_marker(tier_of(item.path, marks, item.fixturenames))
-        item.add_marker(pytest.mark.xdist_group(group_of(item.path, item.fixturenames)))
     config.stash[COLLECTED] = list(items)
 
 

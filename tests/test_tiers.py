@@ -5,7 +5,7 @@ import pytest
 from tests.conftest import COLLECTED, TESTS, tier_of
 
 TIERS = {"unit", "slow", "dag", "heavy"}
-WORKERS = ["-n", "2", "--dist", "loadgroup"]
+WORKERS = ["-n", "2", "--dist", "loadfile"]
 
 
 def test_every_test_is_of_the_one_tier_of_its_place(request):

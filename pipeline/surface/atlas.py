@@ -89,8 +89,8 @@ def joined(mesh: Mesh, charts: list[FlatChart], placed: list[np.ndarray]) -> Mes
 
 def kept(chart: FlatChart, mesh: Mesh) -> np.ndarray:
     """The chart's u, v (k, 2), enlarged where evening took more than SHRUNK of its length."""
-    true = np.linalg.norm(np.ptp(mesh.vertices[chart.index], axis=0))
-    laid = np.linalg.norm(np.ptp(chart.uv, axis=0))
+    true = float(np.linalg.norm(np.ptp(mesh.vertices[chart.index], axis=0)))
+    laid = float(np.linalg.norm(np.ptp(chart.uv, axis=0)))
     return chart.uv * max(1.0, SHRUNK * true / max(laid, 1e-30))
 
 

@@ -7,11 +7,12 @@ import numpy as np
 from pipeline.geometry.cameras import Rig
 from pipeline.masks import ground
 from pipeline.masks.ground import TEXTURE, bare_ground
+from tests.seeds import numpy_rng
 
 
 def test_the_bare_ground_is_the_same_in_parts_and_needs_no_stack_of_all_views(ring, monkeypatch):
     """Memory does not grow by a texture of the ground with every photo."""
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     views = ring(24, 40)
     rig = Rig(views, np.zeros(3), 0.4, "sfm")
     labs = {v.name: rng.random((40, 40, 3)).astype(np.float32) for v in views}

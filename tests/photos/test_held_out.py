@@ -12,6 +12,7 @@ from pipeline.base.images import read_png, write_exr, write_png
 from pipeline.geometry.cameras import Rig, load_cameras, save_cameras
 from pipeline.photos.held_out import hold_out, place, without_matches
 from pipeline.photos.photometry import gains
+from tests.seeds import numpy_rng
 
 
 def photos(count: int, test: int = 0) -> list[dict]:
@@ -78,7 +79,7 @@ def test_a_photo_that_matches_nothing_is_not_placed(matched, tmp_path):
 
 
 def test_a_held_out_photos_gain_is_found_and_changes_no_other():
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     stops = np.array([0.5, -0.5, 1.0, -1.0, 2.0])[:, None] * np.ones(3)
     seen = rng.uniform(-3, 0, (200, 3)) + stops[:, None] + 0.05 * rng.normal(size=(5, 200, 3))
     fit = np.array([True, True, True, True, False])

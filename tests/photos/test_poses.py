@@ -341,7 +341,7 @@ def test_photos_are_matched_as_they_were_exposed(tmp_path):
     """A short exposure over its gain is bright: at the scene's white it would be all white."""
     (tmp_path / "images").mkdir()
     (tmp_path / "matched").mkdir()
-    shown = np.random.default_rng(0).uniform(0.2, 0.9, (32, 48, 3)).astype(np.float32)
+    shown = numpy_rng(0).uniform(0.2, 0.9, (32, 48, 3)).astype(np.float32)
     shown = cv2.GaussianBlur(shown, (0, 0), 3)
     photos = []
     for k, gain in enumerate((1.0, 1 / 16)):

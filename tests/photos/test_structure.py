@@ -11,6 +11,7 @@ from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP, View, loa
 from pipeline.photos.capture import capture
 from pipeline.photos.poses import make_poses
 from tests.conftest import look_at
+from tests.seeds import numpy_rng
 
 COUNT = 10
 WIDTH, HEIGHT, FOCAL = 320, 240, 380.0
@@ -20,7 +21,7 @@ SETTINGS = Poses(max_size=320, features=1500, up="auto")
 
 def texture(seed: int, size: int = 1024) -> np.ndarray:
     """Colours of all scales, (size, size, 3)."""
-    rng = np.random.default_rng(seed)
+    rng = numpy_rng(seed)
     out = np.zeros((size, size, 3), np.float32)
     for sigma in (2.0, 6.0, 20.0):
         layer = cv2.GaussianBlur(rng.normal(size=out.shape).astype(np.float32), (0, 0), sigma)

@@ -58,7 +58,7 @@ class FlatRenderer:
         pass
 
     def mean_radiance(self, rays, spp, seed):
-        rng = np.random.default_rng(seed)
+        rng = numpy_rng(seed)
         origins, _ = rays(rng)
         return 0.4 + 0.01 * rng.standard_normal(origins.shape)
 

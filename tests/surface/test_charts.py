@@ -88,7 +88,7 @@ def shape(rng, cells):
 
 
 def shapes():
-    rng = np.random.default_rng(1)
+    rng = numpy_rng(1)
     return [shape(rng, cells) for cells in (60, 40, 40, 20, 12, 8, 5, 3, 2, 1, 1)]
 
 
