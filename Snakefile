@@ -11,6 +11,10 @@ Files that a stage makes are flagged `update`: Snakemake then leaves the old one
 stage, which writes beside them, has replaced them (pipeline/base/files.py), and brings them back
 when the job fails. That such a job is due nevertheless is noted by its command
 (`stage_command` in pipeline/run/workflow.py).
+
+`mem_mb` of a rule is at least one and a half times the largest peak that its stage had in benchmarks
+(benchmarks/results/work.json, scenes.json): for `snakemake --resources mem_mb=...` and cluster
+executors.
 """
 
 import sys
@@ -92,11 +96,13 @@ rule capture:
     input:
         scene_files("photos"),
     output:
-        made("capture", "capture.json", "photos.json"),
+        made("capture", "capture.json", "photos.json", "radiance.json"),
     log:
         "work/{scene}/logs/capture.log",
     benchmark:
         "work/{scene}/benchmarks/capture.tsv"
+    resources:
+        mem_mb=2000,
     params:
         due=settings("capture", "photos", "capture"),
         order=lambda w: ask(scenes.order, w.scene),
@@ -115,8 +121,10 @@ rule poses:
     benchmark:
         "work/{scene}/benchmarks/poses.tsv"
     threads: 2
+    resources:
+        mem_mb=3000,
     params:
-        due=settings("poses", "poses"),
+        due=lambda w: (settings("poses", "poses")(w), ask(scenes.held_out, w.scene)),
     shell:
         command("poses", f"--capture {WORK}/capture --out {WORK}/poses")
 
@@ -126,12 +134,14 @@ rule masks:
         rules.poses.output,
         scene_files("network"),
     output:
-        made("masks", "masks.json", "confidence.json", "overlay.jpg"),
+        made("masks", "masks.json", "given.json", "confidence.json", "overlay.jpg"),
     log:
         "work/{scene}/logs/masks.log",
     benchmark:
         "work/{scene}/benchmarks/masks.tsv"
     threads: 2
+    resources:
+        mem_mb=2000,
     params:
         due=settings("masks", "masks"),
     shell:
@@ -150,6 +160,8 @@ rule mesh:
     benchmark:
         "work/{scene}/benchmarks/mesh.tsv"
     threads: 2
+    resources:
+        mem_mb=4000,
     params:
         due=settings("mesh", "mesh"),
     shell:
@@ -165,6 +177,8 @@ rule atlas:
         "work/{scene}/logs/atlas.log",
     benchmark:
         "work/{scene}/benchmarks/atlas.tsv"
+    resources:
+        mem_mb=2000,
     params:
         due=settings("atlas", "atlas"),
     shell:
@@ -182,6 +196,8 @@ rule observe:
         "work/{scene}/logs/observe.log",
     benchmark:
         "work/{scene}/benchmarks/observe.tsv"
+    resources:
+        mem_mb=2000,
     params:
         due=settings("observe", "observe", "poses"),
     shell:
@@ -212,6 +228,8 @@ rule choose:
         "work/{scene}/logs/choose.log",
     benchmark:
         "work/{scene}/benchmarks/choose.tsv"
+    resources:
+        mem_mb=2000,
     params:
         due=lambda w: (settings("choose", "choose")(w), ask(scenes.choosable, w.scene)),
     shell:
@@ -222,7 +240,8 @@ CHOSEN = "work/{scene}/choose/choose.json"
 CHOSEN_OPTION = f"--choose {WORK}/choose"
 
 
-# Point estimate of light and materials, Eq. 15.
+# Point estimate of light and materials, Eq. 15. One thread: sums of floats in any order would make
+# every draw that begins there another.
 rule fit:
     input:
         PROBLEM,
@@ -233,7 +252,9 @@ rule fit:
         "work/{scene}/logs/fit.log",
     benchmark:
         "work/{scene}/benchmarks/fit.tsv"
-    threads: 2
+    threads: 1
+    resources:
+        mem_mb=2000,
     params:
         due=settings("fit", "fit", "render"),
     shell:
@@ -249,12 +270,14 @@ rule sample:
         rules.fit.output,
         scene_files("priors"),
     output:
-        made("sample/{sample}", "sample.json", *EXPLANATION),
+        made("sample/{sample}", "sample.json", "draw.json", *EXPLANATION),
     log:
         "work/{scene}/logs/sample_{sample}.log",
     benchmark:
         "work/{scene}/benchmarks/sample_{sample}.tsv"
     threads: 1
+    resources:
+        mem_mb=2000,
     params:
         due=settings("sample", "sample", "render"),
     shell:
@@ -278,6 +301,8 @@ rule refine:
         "work/{scene}/logs/refine_{sample}.log",
     benchmark:
         "work/{scene}/benchmarks/refine_{sample}.tsv"
+    resources:
+        mem_mb=6500,
     params:
         due=settings("refine", "refine", "render", "observe"),
     shell:
@@ -292,7 +317,8 @@ rule refine:
 rule export:
     input:
         "work/{scene}/atlas/mesh_uv.ply",
-        "work/{scene}/poses/poses.json",
+        "work/{scene}/poses/cameras.json",
+        "work/{scene}/capture/radiance.json",
         samples=refined,
     output:
         update("exports/{scene}.usda"),
@@ -302,13 +328,16 @@ rule export:
         "work/{scene}/logs/export.log",
     benchmark:
         "work/{scene}/benchmarks/export.tsv"
+    resources:
+        mem_mb=2000,
     params:
         due=settings("export", "samples", "preset", "sample"),
         folders=lambda w, input: [str(Path(i).parent) for i in input.samples],
     shell:
         command(
             "export",
-            f"--atlas {WORK}/atlas --poses {WORK}/poses --samples {{params.folders:q}} "
+            f"--atlas {WORK}/atlas --capture {WORK}/capture --poses {WORK}/poses "
+            "--samples {params.folders:q} "
             f"--metrics {WORK}/export.json --out exports/{{wildcards.scene:q}}.usda",
         )
 
@@ -324,6 +353,8 @@ rule report:
     benchmark:
         "work/{scene}/benchmarks/report.tsv"
     threads: 2
+    resources:
+        mem_mb=3000,
     params:
         due=settings("report", "samples", "preset", "report", "render"),
     shell:

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.files import write_json
-from pipeline.prior.network import LABELS
 from pipeline.prior.training.data import Data, radiance
+from pipeline.prior.weight_facts import LABELS
 from pipeline.render.envmap import resample_area, solid_angles
 
 

@@ -47,13 +47,13 @@ from pipeline.base.progress import progress
 from pipeline.base.runtime import set_threads
 from pipeline.prior.gaussian import OPPONENT, GaussianPrior
 from pipeline.prior.load import load_prior
-from pipeline.prior.network import LABELS
 from pipeline.prior.sampling import draw, lights, sheet
 from pipeline.prior.training.data import Data, scale_free
 from pipeline.prior.training.settings import Training
 from pipeline.prior.training.sources import find_sources, read_source
 from pipeline.prior.training.train import fixed_loss, row_weights
 from pipeline.prior.value_code import to_log
+from pipeline.prior.weight_facts import LABELS
 from pipeline.render.envmap import resample_area, solid_angles
 
 APPEARANCE = 29  # features of the first kind

@@ -216,9 +216,8 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         row = {"seconds": time.perf_counter() - began}
         set_threads(2)
         with Bar(f"refine {seed}", units(settings)) as bar:
-            final, _ = refine(
-                full, small, drawn, settings, seed, bar, facts.get("scale_drawn", False)
-            )
+            held = SAMPLERS[method].scale_drawn
+            final, _ = refine(full, small, drawn, settings, seed, bar, held)
         pictures.append(
             [render_twice(full.renderer, final, view, mask, HELD_OUT_SPP) for view, _, mask in held]
         )

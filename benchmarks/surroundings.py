@@ -230,11 +230,11 @@ class Variant:
             settings = scene.refine.model_copy(update={"steps": 0})
             problem = self.problem(scene.sample.texture, self.prior.height)
             sampler = SAMPLERS[scene.sample.method]
-            drawn, facts = sampler(problem, self.prior, self.start, scene.sample, seed)
+            drawn, _ = sampler(problem, self.prior, self.start, scene.sample, seed)
             small = self.problem(min(COARSE, settings.texture), self.prior.height)
             with Bar(f"refine {seed}", units(settings)) as bar:
-                scale_drawn = facts.get("scale_drawn", False)
-                final, _ = refine(self.full, small, drawn, settings, seed, bar, scale_drawn)
+                held = sampler.scale_drawn
+                final, _ = refine(self.full, small, drawn, settings, seed, bar, held)
             final.save(folder)
         return Explanation.load(folder)
 

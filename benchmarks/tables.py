@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import parsimony_tables, surfaces_tables, trust_tables
+from benchmarks import atlas_tables, parsimony_tables, surfaces_tables, trust_tables
 from benchmarks.markdown import number, pipe_table
 from benchmarks.stability import limits as stability
 from benchmarks.study import pages as study_pages
@@ -557,6 +557,7 @@ TABLES["trust_wrong"] = lambda: trust_tables.wrong(rows_of("trust")) + source("t
 TABLES |= {name: stability_table(make) for name, make in stability.TABLES.items()}
 TABLES["surfaces_choice"] = lambda: surfaces_tables.choice(results("surfaces")["data"])
 TABLES["surfaces"] = lambda: surfaces_tables.table(results("surfaces")["data"]) + source("surfaces")
+TABLES["atlas"] = lambda: atlas_tables.table(rows_of("atlas")) + source("atlas")
 TABLES["work_slopes"] = lambda: work_tables.slopes(results("work")["data"])
 TABLES["work_figures"] = lambda: work_tables.figures(results("work")["data"]) + source("work")
 

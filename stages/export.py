@@ -5,12 +5,14 @@ USD validators.
 import argparse
 from pathlib import Path
 
-from pipeline.base.files import read_json, report_metrics
+from pipeline.base.files import report_metrics
 from pipeline.base.manifest import NAME, write_manifest
 from pipeline.run.stage import Stage, stage
 
 
 def work(s: Stage) -> None:
+    from pipeline.geometry.cameras import load_cameras
+    from pipeline.photos.radiance import Radiance
     from pipeline.usd.write import export
 
     facts = {
@@ -18,10 +20,11 @@ def work(s: Stage) -> None:
         "sampler": s.scene.sample.method,
         "prior": s.scene.sample.prior,
         "seed": s.scene.sample.seed,
-        "poses": read_json(s.args.poses / "poses.json")["source"],
+        "poses": load_cameras(s.args.poses / "cameras.json").source,
         "meters_known": s.scene.poses.object_size is not None,
     }
-    metrics = export(s.args.atlas, s.args.samples, s.out, facts)
+    white = Radiance.load(s.args.capture).white
+    metrics = export(s.args.atlas, s.args.samples, s.out, facts, white)
     report_metrics(s.args.metrics, metrics | s.costs())
 
     made = [s.args.metrics, s.out, s.out.with_suffix(".usdz"), *s.out.with_suffix("").rglob("*")]
@@ -45,7 +48,11 @@ def more(parser: argparse.ArgumentParser) -> None:
 if __name__ == "__main__":
     stage(
         __doc__,
-        {"atlas": "folder of the atlas stage", "poses": "folder of the poses stage"},
+        {
+            "atlas": "folder of the atlas stage",
+            "capture": "folder of the capture stage (the photos' unit of radiance)",
+            "poses": "folder of the poses stage",
+        },
         work,
         more,
     )

@@ -5,13 +5,11 @@ from pipeline.run.stage import CHOSEN_FOLDER, PROBLEM_FOLDERS, Stage, stage
 
 
 def work(s: Stage) -> None:
-    from pipeline.base.runtime import set_threads
     from pipeline.posterior.choose.chosen import chosen_scene
     from pipeline.posterior.fit import fit
     from pipeline.posterior.load import load_problem
 
     scene = chosen_scene(s.scene, s.args.choose)
-    set_threads(s.args.threads)
     with stage_folder(s.out, "fit.json") as out:
         problem = load_problem(
             *s.problem_folders,

@@ -13,7 +13,12 @@ def work(s: Stage) -> None:
 
     with stage_folder(s.out, "poses.json") as out:
         metrics = make_poses(
-            s.args.capture, Path(s.scene.photos), out, s.scene.poses, s.args.threads
+            s.args.capture,
+            Path(s.scene.photos),
+            out,
+            s.scene.poses,
+            s.scene.observe,
+            s.args.threads,
         )
         report_metrics(out / "poses.json", metrics | s.costs())
 

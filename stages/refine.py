@@ -2,7 +2,7 @@
 held-out score.
 """
 
-from pipeline.base.files import read_json, report_metrics, stage_folder
+from pipeline.base.files import report_metrics, stage_folder
 from pipeline.run.stage import CHOSEN_FOLDER, PROBLEM_FOLDERS, Stage, stage
 
 SCORE_UNITS = 5  # progress: scoring a view takes as long as so many of Adam's steps
@@ -10,14 +10,13 @@ SCORE_UNITS = 5  # progress: scoring a view takes as long as so many of Adam's s
 
 def work(s: Stage) -> None:
     from pipeline.base.progress import Bar
-    from pipeline.base.runtime import set_threads
     from pipeline.posterior.choose.chosen import chosen_scene
+    from pipeline.posterior.draw_facts import DrawFacts
     from pipeline.posterior.load import load_problem
     from pipeline.posterior.refine import COARSE, refine, units
     from pipeline.render.metrics import held_out_photos, score_held_out
     from pipeline.render.renderer import Explanation
 
-    set_threads(s.args.threads)
     scene = chosen_scene(s.scene, s.args.choose)
     settings = scene.refine
     with stage_folder(s.out, "refine.json") as out:
@@ -26,7 +25,7 @@ def work(s: Stage) -> None:
         problem = load_problem(*s.problem_folders, scene, settings.texture, rows)
         small = load_problem(*s.problem_folders, scene, min(COARSE, settings.texture), rows)
         held_out = held_out_photos(problem, s.args.poses, s.args.mesh, scene.observe.erode)
-        drawn = read_json(s.args.sample / "sample.json").get("scale_drawn", False)
+        drawn = DrawFacts.load(s.args.sample).scale_drawn
 
         index = s.args.index
         total = units(settings) + SCORE_UNITS * len(held_out)

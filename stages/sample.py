@@ -5,20 +5,18 @@ from pipeline.run.stage import CHOSEN_FOLDER, PROBLEM_FOLDERS, Stage, stage
 
 
 def work(s: Stage) -> None:
-    from pipeline.base.runtime import set_threads
     from pipeline.posterior.check_settings import check_settings
     from pipeline.posterior.choose.chosen import chosen_scene
+    from pipeline.posterior.draw_facts import DrawFacts
     from pipeline.posterior.load import load_problem
-    from pipeline.posterior.samplers import LOOKING_AT_THE_LIGHT, SAMPLERS
+    from pipeline.posterior.samplers import SAMPLERS
     from pipeline.prior.load import load_prior
     from pipeline.render.renderer import Explanation
 
     scene = chosen_scene(s.scene, s.args.choose)
     settings = scene.sample
+    check_settings(settings)  # again: light may be what the choose stage has chosen
     prior = load_prior(settings.prior)
-    check_settings(settings, prior)
-    # one thread: sums in a fixed order, so sample k is bit-identical anywhere
-    set_threads(s.args.threads)
     with stage_folder(s.out, "sample.json") as out:
         problem = load_problem(
             *s.problem_folders,
@@ -26,15 +24,13 @@ def work(s: Stage) -> None:
             settings.texture,
             prior.height,
         )
-        drawn, facts = SAMPLERS[settings.method](
-            problem, prior, Explanation.load(s.args.fit), settings, s.args.index
-        )
+        sampler = SAMPLERS[settings.method]
+        drawn, facts = sampler(problem, prior, Explanation.load(s.args.fit), settings, s.args.index)
         unused = {}
-        if problem.observations.surroundings.sightings and (
-            settings.method not in LOOKING_AT_THE_LIGHT
-        ):
+        if problem.observations.surroundings.sightings and not sampler.looks_at_the_light:
             unused = {"sightings": f"{settings.method} knows of them by its start only"}
         drawn.save(out)
+        DrawFacts(sampler.scale_drawn).save(out)
         report_metrics(
             out / "sample.json",
             {"index": s.args.index, "method": settings.method} | facts | unused | s.costs(),

@@ -16,13 +16,28 @@ import numpy as np
 import pytest
 
 from pipeline.base import runtime
+from tests import seeds
 
-# Of torch and BLAS: these matrices are too small to share, and on a busy machine two threads that
-# wait for each other are ten times slower than one. Dr.Jit, loaded later, takes all cores.
+# The tests are small, and two workers share the cores: threads that wait for each other on a busy
+# machine are ten times slower than one.
 runtime.set_threads(1)
 
 TESTS = Path(__file__).resolve().parent
 COLLECTED = pytest.StashKey[list]()  # all tests found, those left out by -m too
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--seed-offset",
+        type=int,
+        default=0,
+        metavar="N",
+        help="added to every seed of the tests: they hold for all of them",
+    )
+
+
+def pytest_configure(config):
+    seeds.offset = config.getoption("--seed-offset")
 
 
 def tier_of(path: Path, marks: set[str], fixtures=()) -> str:

@@ -5,6 +5,7 @@ import pytest
 from tests.conftest import COLLECTED, TESTS, tier_of
 
 TIERS = {"unit", "slow", "dag", "heavy"}
+WORKERS = ["-n", "2", "--dist", "loadfile"]
 
 
 def test_every_test_is_of_the_one_tier_of_its_place(request):
@@ -18,7 +19,7 @@ def test_every_test_is_of_the_one_tier_of_its_place(request):
 
 
 def test_a_plain_run_leaves_out_the_heavy_tests_only(pytestconfig):
-    assert pytestconfig.getini("addopts") == ["--strict-markers", "-m", "not heavy"]
+    assert pytestconfig.getini("addopts") == ["--strict-markers", "-m", "not heavy", *WORKERS]
     assert {line.split(":")[0] for line in pytestconfig.getini("markers")} >= TIERS
 
 

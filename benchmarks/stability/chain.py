@@ -50,7 +50,9 @@ def chain(scene: Scene, work: Path, threads: int = 1) -> None:
 
     steps: dict[str, Callable[[Path], dict]] = {
         "capture": lambda out: capture(photos, out, scene.capture),
-        "poses": lambda out: make_poses(at["capture"], photos, out, scene.poses, threads),
+        "poses": lambda out: make_poses(
+            at["capture"], photos, out, scene.poses, scene.observe, threads
+        ),
         "masks": lambda out: make_masks(at["poses"], out, scene.masks, threads),
         "mesh": lambda out: make_mesh(at["poses"], at["masks"], photos, out, scene.mesh, threads),
         "atlas": atlas,

@@ -71,14 +71,14 @@ def draw(method: str, scene, folders: dict[str, Path], seed: int) -> tuple[Expla
     )
     start = Explanation.load(folders["fit"])
     problem = load(scene.sample.texture)
+    sampler = SAMPLERS[METHODS[method].sampler]
     with Clock() as sampling:
-        drawn, facts = SAMPLERS[METHODS[method].sampler](problem, prior, start, scene.sample, seed)
+        drawn, _ = sampler(problem, prior, start, scene.sample, seed)
 
     settings = scene.refine
     full, small = load(settings.texture), load(min(COARSE, settings.texture))
     with Clock() as refining, Bar(f"refine {seed}", units(settings)) as bar:
-        held = facts.get("scale_drawn", False)
-        final, _ = refine(full, small, drawn, settings, seed, bar, held)
+        final, _ = refine(full, small, drawn, settings, seed, bar, sampler.scale_drawn)
     return final, {"sample": sampling.cost, "refine": refining.cost}
 
 

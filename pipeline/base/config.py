@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from pipeline.base.errors import InputError, nearest
 
@@ -106,6 +106,12 @@ class Masks(Section):
         None, description="path of an installed ISNet-like network (1x3x1024x1024)"
     )
 
+    @model_validator(mode="after")
+    def _network_is_named(self) -> Masks:
+        if self.method == "onnx" and self.onnx_model is None:
+            raise ValueError("method is onnx, so onnx_model must name a network's file")
+        return self
+
 
 class Mesh(Section):
     """Surface from masks and photos; ignored when mesh.ply or mesh.obj is given."""
@@ -143,6 +149,11 @@ class Atlas(Section):
         1024, ge=16, le=8192, description="texels along a side that padding is made for"
     )
     padding: int = Field(4, ge=0, le=32, description="texels between charts")
+    packer: Literal["xatlas", "tight"] = Field(
+        "xatlas",
+        description="who places the charts on the page; tight: Heliograph's own packer, whose page "
+        "is fuller where charts are many or ragged",
+    )
     normal_map: bool = Field(
         True, description="bake what decimation takes from the surface into a normal map"
     )
@@ -155,7 +166,11 @@ class Observe(Section):
         1_500_000, ge=256, le=20_000_000, description="pixels drawn over all fit views"
     )
     held_out: float = Field(
-        0.1, ge=0, lt=0.6, description="share of views kept for scoring (at least 1 from 8 on)"
+        0.1,
+        ge=0,
+        lt=0.6,
+        description="share of photos kept for scoring, of which no stage learns anything (at least "
+        "1 from 8 on); 0: every photo is in the asset, which then has no score",
     )
     erode: float = Field(
         1.5, ge=0, le=20, description="pixels taken off the mask's edge: mixed with background"
@@ -243,7 +258,23 @@ class Fit(Section):
 class Sample(Section):
     """Posterior samples of light and materials."""
 
-    method: str = Field("split_gibbs", description="a key of pipeline.posterior.samplers.SAMPLERS")
+    method: Literal[
+        "split_gibbs",
+        "gaussian",
+        "dpi_paper",
+        "dpi_code",
+        "sds",
+        "map",
+        "global_norm",
+        "total_variation",
+        "chromaticity",
+        "spherical_harmonics",
+        "deep_image_prior",
+        "direct_light",
+        "split_sum",
+        "gan_latent",
+        "equivariant_field",
+    ] = Field("split_gibbs", description="a key of pipeline.posterior.samplers.SAMPLERS")
     prior: str = Field(
         "prior_base", description="a file stem under weights/, or a path to .safetensors"
     )

@@ -27,7 +27,14 @@ def srgb_to_linear(x: np.ndarray) -> np.ndarray:
 
 def linear_to_srgb(x: np.ndarray) -> np.ndarray:
     """IEC 61966-2-1 encoding, clipped to [0, 1]."""
-    x = np.clip(np.asarray(x, np.float32), 0, 1)
+    return perceived(np.clip(np.asarray(x, np.float32), 0, 1))
+
+
+def perceived(x: np.ndarray) -> np.ndarray:
+    """As `linear_to_srgb`, of x >= 0, with the curve going on above 1, which is white on a screen
+    only.
+    """
+    x = np.asarray(x, np.float32)
     return np.where(
         x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-8) ** (1 / 2.4) - 0.055
     ).astype(np.float32)
@@ -69,11 +76,17 @@ def read_exr(path: str | Path) -> np.ndarray:
                     return np.ascontiguousarray(channels[name].pixels[..., :3], np.float32)
             if all(c in channels for c in "RGB"):
                 return np.stack([channels[c].pixels for c in "RGB"], -1).astype(np.float32)
-            return np.array(next(iter(channels.values())).pixels, np.float32)
+            if len(channels) == 1:
+                return np.array(next(iter(channels.values())).pixels, np.float32)
     except Exception as error:  # the binding raises bare RuntimeError/ValueError/OSError
         raise InputError(
             f"not a readable EXR file ({error})", path, "replace the file or leave it out"
         ) from error
+    raise InputError(
+        f"its channels are {', '.join(sorted(channels))}: neither R, G, B nor a single one",
+        path,
+        "export it with the channels R, G, B",
+    )
 
 
 def write_exr(path: str | Path, pixels: np.ndarray, half: bool = False) -> None:

@@ -100,7 +100,16 @@ class Rig:
     facts: dict = field(default_factory=dict)
 
     def fit_views(self) -> list[View]:
+        """The views that stages may learn from."""
         return [v for v in self.views if v.split == "fit"]
+
+    def test_views(self) -> list[View]:
+        """The views that are kept for scoring."""
+        return [v for v in self.views if v.split == "test"]
+
+    def training(self) -> Rig:
+        """The scene as it is known without the views that are kept for scoring."""
+        return replace(self, views=self.fit_views())
 
 
 def save_cameras(path: str | Path, rig: Rig) -> None:

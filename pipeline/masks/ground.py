@@ -26,6 +26,7 @@ from pipeline.masks.cut import grow
 WORKING = 600  # long side in pixels
 TEXTURE = 512  # texels along the ground's side
 EXTENT = 3.5  # half-side of the known ground in object radii
+PART = 16384  # texels of the ground that all views are held in memory of at a time
 UNKNOWN = 99  # spread of ground that too few views have seen
 
 
@@ -55,10 +56,24 @@ def bare_ground(
     look. covered: pixels (h, w) bool that show something before the ground and do not count.
     """
     points = ground_points(rig, height).reshape(-1, 3)
+    hides = {v.name: covered[v.name].astype(np.uint8) for v in rig.views}
+    parts = [
+        _bare_part(rig, labs, hides, points[k : k + PART]) for k in range(0, len(points), PART)
+    ]
+    median, spread = (np.concatenate(part) for part in zip(*parts))
+    return median.reshape(TEXTURE, TEXTURE, 3), spread.reshape(TEXTURE, TEXTURE)
+
+
+def _bare_part(
+    rig: Rig, labs: dict[str, np.ndarray], hides: dict[str, np.ndarray], points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `bare_ground`, of some of its points (n, 3): median (n, 3) and spread (n,). hides:
+    `covered` as uint8.
+    """
     stack = np.full((len(rig.views), len(points), 3), np.nan, np.float32)
     for k, v in enumerate(rig.views):
         value, inside = sample(v, labs[v.name], points, interpolate=True)
-        before, _ = sample(v, covered[v.name].astype(np.uint8), points)
+        before, _ = sample(v, hides[v.name], points)
         bare = inside & (before == 0)
         stack[k, bare] = value[bare]
     median, spread, seen = _median_and_spread(stack)
@@ -71,7 +86,7 @@ def bare_ground(
 
     median[seen < 4] = np.nan
     spread[seen < 4] = np.nan
-    return median.reshape(TEXTURE, TEXTURE, 3), spread.reshape(TEXTURE, TEXTURE)
+    return median, spread
 
 
 def _median_and_spread(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

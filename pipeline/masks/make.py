@@ -21,6 +21,7 @@ from pipeline.base.images import in_rows, read_exr, read_png, to_srgb8, write_pn
 from pipeline.geometry.cameras import Rig, load_cameras
 from pipeline.masks.agreement import LEAST_AGREEMENT, agreement
 from pipeline.masks.automatic import plane_masks
+from pipeline.masks.facts import MaskFacts
 from pipeline.masks.network import network_masks
 
 USUAL_AGREEMENT = 0.85  # mean agreement below which automatic masks are doubtful
@@ -167,8 +168,10 @@ def said_of_things(facts: dict) -> list[str]:
 
 
 def make_masks(poses: Path, out: Path, settings: Masks, threads: int) -> dict:
-    """Write masks/<name>.png, confidence.json and overlay.jpg into `out`; returns metrics."""
-    rig = load_cameras(poses / "cameras.json")
+    """Write masks/<name>.png, given.json (`MaskFacts`), confidence.json and overlay.jpg into `out`;
+    returns metrics. Photos that are kept for scoring have no part in it.
+    """
+    rig = load_cameras(poses / "cameras.json").training()
     method = choose(poses, rig, settings)
     masks, facts = MASKERS[method](poses, rig, settings, threads)
 
@@ -186,6 +189,7 @@ def make_masks(poses: Path, out: Path, settings: Masks, threads: int) -> dict:
     (out / "masks").mkdir()
     for v in rig.views:
         write_png(out / "masks" / f"{v.name}.png", masks[v.name] * np.uint8(255))
+    MaskFacts(method == "given", tuple(facts.get("given", []))).save(out)
     write_json(out / "confidence.json", confidence)
     write_png(out / "overlay.jpg", overlay(poses, rig, masks))
 

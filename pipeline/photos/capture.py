@@ -14,13 +14,13 @@ import numpy as np
 from pipeline.base.config import Capture
 from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
-from pipeline.base.images import luminance, write_exr, write_png
+from pipeline.base.images import LARGEST_HALF, luminance, read_png, write_exr, write_png
 from pipeline.base.progress import progress
-from pipeline.photos.colmap_model import model_folder
 from pipeline.photos.colour_space import LINEAR, Curve
 from pipeline.photos.decode import Photo, decode
 from pipeline.photos.given_masks import check_owners, mask_file, read_mask
-from pipeline.photos.scene_files import camera_file, find_photos, left_out
+from pipeline.photos.radiance import Radiance, level_of, white_of
+from pipeline.photos.scene_files import cameras_given, find_photos, left_out
 from pipeline.photos.selection import Look, choose, look_at
 
 BLACK = 1e-3  # luminance below which a pixel is black
@@ -125,6 +125,8 @@ def convert(scene: Path, path: Path, settings: Capture) -> Converted:
         "brightness": brightness_of(linear),
     }
     small = None if mask is None else _resize(mask, size) >= 128
+    if not np.issubdtype(photo.pixels.dtype, np.integer):
+        facts["level"] = level_of(linear, small)
     return Converted(linear, saturated, small, facts)
 
 
@@ -207,7 +209,8 @@ def converted(
 ) -> tuple[list[dict], list[Look]]:
     """Facts of every photo (photos.json) and how it looks, after its linear picture is in
     `out`/images/NAME.npy, its saturated pixels in `out`/saturated, and its mask, if it has one, in
-    `out`/masks.
+    `out`/masks. What comes without a full scale may be brighter than a half can hold, and is kept
+    as float32 until its scale is known.
     """
     (out / "images").mkdir()
     (out / "saturated").mkdir()
@@ -215,7 +218,8 @@ def converted(
     looks = []
     for name, path, split in progress(found, "photos"):
         photo = convert(scene, path, settings)
-        np.save(out / "images" / f"{name}.npy", photo.linear.astype(np.float16))
+        kept = np.float32 if "level" in photo.facts else np.float16
+        np.save(out / "images" / f"{name}.npy", photo.linear.astype(kept))
         write_png(out / "saturated" / f"{name}.png", photo.saturated * np.uint8(255))
         if photo.mask is not None:
             (out / "masks").mkdir(exist_ok=True)
@@ -224,15 +228,33 @@ def converted(
         file = path.relative_to(scene).as_posix()
         own = {"name": name, "file": file, "split": split, "has_mask": photo.mask is not None}
         photos.append(own | photo.facts)
-        looks.append(look_at(photo.linear))
+        white = white_of([photo.facts["level"]]) if "level" in photo.facts else 1.0
+        looks.append(look_at(photo.linear / white))
     return photos, looks
 
 
-def divide_out_gains(photos: list[dict], images: Path) -> None:
-    """NAME.npy of every photo over its gain as NAME.exr; clip level and focal length follow."""
+def white_of_scene(photos: list[dict]) -> float:
+    """The radiance that is white in the scene: 1, the full scale of pictures that have one, unless
+    no photo has any.
+    """
+    if any("level" not in p for p in photos):
+        return 1.0
+    return white_of([p["level"] / p["gain"] for p in photos])
+
+
+def divide_out(photos: list[dict], out: Path, white: float) -> None:
+    """`out`/images/NAME.npy of every photo over its gain and the scene's white as NAME.exr; clip
+    level and focal length follow. What is brighter than a half can hold is a lower bound: it counts
+    as saturated.
+    """
     for p in photos:
-        raw = images / f"{p['name']}.npy"
-        write_exr(raw.with_suffix(".exr"), np.load(raw).astype(np.float32) / p["gain"], half=True)
+        raw = out / "images" / f"{p['name']}.npy"
+        linear = np.load(raw).astype(np.float32) / (p["gain"] * white)
+        write_exr(raw.with_suffix(".exr"), linear, half=True)
+        beyond = linear > LARGEST_HALF
+        if beyond.any():
+            file = out / "saturated" / f"{p['name']}.png"
+            write_png(file, np.maximum(read_png(file), beyond * np.uint8(255)))
         p["clip_level"] /= p["gain"]
         p |= focal_guess(p)
         raw.unlink()
@@ -269,7 +291,7 @@ def in_words(dropped: dict[str, list[str]]) -> list[str]:
 
 def capture(scene: Path, out: Path, settings: Capture) -> dict:
     """Convert every photo of `scene` into `out`/images/*.exr (half, linear), saturated/*.png,
-    masks/*.png and photos.json.
+    masks/*.png, photos.json and radiance.json (`Radiance`).
 
     Raises InputError naming the photo for unreadable files, mask of another size, black masks, too
     few photos.
@@ -278,9 +300,7 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
     check_owners(scene, [path for _, path, _ in found])
     dropped = left_out(scene, found)
     photos, looks = converted(found, scene, out, settings)
-    # Given cameras name their photos: those that are named stay.
-    given = camera_file(scene) is not None or model_folder(scene) is not None
-    if settings.leave_out == "auto" and not given:
+    if settings.leave_out == "auto" and not cameras_given(scene):
         photos, more = drop(photos, looks, out)
         dropped |= more
 
@@ -296,7 +316,9 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
         print(sentence, file=sys.stderr)
     masked = sum(p["has_mask"] for p in photos)
     exposure = normalise_exposure(photos, settings.exposure)
-    divide_out_gains(photos, out / "images")
+    white = white_of_scene(photos)
+    divide_out(photos, out, white)
+    Radiance(white).save(out)
     facts = {"scene": scene.name, "exposure": exposure, "left_out": dropped, "photos": photos}
     write_json(out / "photos.json", facts)
     return {
@@ -305,6 +327,7 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
         "warnings": sentences,
         "masks": masked,
         "exposure": exposure,
+        "white": white,
         "converted": sorted({p["note"] for p in photos if "note" in p}),
         "size": sorted({(p["width"], p["height"]) for p in photos}),
         "clipped_share": float(np.mean([p["clipped_share"] for p in photos])),

@@ -142,13 +142,19 @@ def check_lens(lens: Lens, where: str | Path) -> None:
 def read_transforms(
     file: Path, scene: Path, sizes: dict[str, tuple[int, int]]
 ) -> dict[str, tuple[Lens, np.ndarray]]:
-    """name -> (Lens, world-to-camera in the Y-up frame). `sizes`: each photo's original (width,
-    height).
+    """name -> (Lens, world-to-camera in the Y-up frame). `sizes`: each captured photo's original
+    (width, height). Raises InputError for a frame whose photo was not captured.
     """
     data = read_transforms_file(file)
     out = {}
     for frame in data.frames:
         name = photo_name(scene, path_in_scene(scene, frame.file_path, file))
+        if name not in sizes:
+            raise InputError(
+                f"the photo of frame '{frame.file_path}' was not captured",
+                file,
+                "run the capture stage again: it was run before these cameras were given",
+            )
         lens = _transforms_lens(data, frame, sizes[name], file)
         pose = Y_FROM_Z_UP @ frame.camera_to_world(file) @ OPENCV_FROM_OPENGL
         out[name] = (lens, np.linalg.inv(pose))
@@ -211,16 +217,21 @@ def poses_of_model(
     out = {}
     for image in model.images.values():
         if image.has_pose and image.name in names:
-            world_to_camera = image.cam_from_world()
-            turn, shift = world_to_camera.rotation.quat, world_to_camera.translation
-            if not (np.isfinite([*turn, *shift]).all() and 0.01 < np.linalg.norm(turn) < 100):
-                raise InputError(
-                    f"the pose of image {image.name} is none",
-                    "sparse/0",
-                    "export the model again, or remove that image from it",
-                )
-            pose = np.eye(4)
-            pose[:3, :3] = Rotation.from_quat(turn).as_matrix()
-            pose[:3, 3] = shift
+            pose = pose_of_colmap(image.cam_from_world(), image.name)
             out[names[image.name]] = (lens_of_colmap(model.cameras[image.camera_id]), pose)
     return out
+
+
+def pose_of_colmap(world_to_camera: pycolmap.Rigid3d, name: str) -> np.ndarray:
+    """World-to-camera (4, 4) of the image called `name`. InputError where it is none."""
+    turn, shift = world_to_camera.rotation.quat, world_to_camera.translation
+    if not (np.isfinite([*turn, *shift]).all() and 0.01 < np.linalg.norm(turn) < 100):
+        raise InputError(
+            f"the pose of image {name} is none",
+            "sparse/0",
+            "export the model again, or remove that image from it",
+        )
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(turn).as_matrix()
+    pose[:3, 3] = shift
+    return pose

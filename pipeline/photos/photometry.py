@@ -57,22 +57,27 @@ def point_brightness(views: list[View], folder: Path, points: dict) -> np.ndarra
     return out
 
 
-def gains(brightness: np.ndarray) -> np.ndarray:
+def gains(brightness: np.ndarray, fit: np.ndarray | None = None) -> np.ndarray:
     """log2 gain (views, 3) of every photo and channel, from log2 radiance (views, points, 3). Sums
     to zero over the photos. 0 for photos with too few points, or not linked to most others.
+
+    fit: (views,) bool, the photos that say how bright points are; without it all do. The sum is
+    over them, and each of the others is held against the points as they see them.
     """
-    return np.stack([channel_gains(brightness[..., c]) for c in range(3)], -1)
+    fit = np.ones(len(brightness), bool) if fit is None else fit
+    return np.stack([channel_gains(brightness[..., c], fit) for c in range(3)], -1)
 
 
-def channel_gains(y: np.ndarray) -> np.ndarray:
+def channel_gains(y: np.ndarray, fit: np.ndarray) -> np.ndarray:
     """As `gains`, for one channel: (views, points) -> (views,)."""
     out = np.zeros(len(y))
-    enough = _linked(y)
+    enough = np.zeros(len(y), bool)
+    enough[fit] = _linked(y[fit])
     if enough.sum() < 3:
         return out
 
-    rows = y[enough].astype(float)
-    rows = rows[:, np.isfinite(rows).sum(0) >= 2]
+    twice = np.isfinite(y[enough]).sum(0) >= 2
+    rows = y[enough][:, twice].astype(float)
     seen = np.isfinite(rows)
     rows = np.where(seen, rows, 0.0)
     weight = seen.astype(float)
@@ -83,6 +88,12 @@ def channel_gains(y: np.ndarray) -> np.ndarray:
         weight = seen / np.maximum(np.abs(rest), SMALLEST)
 
     out[enough] = gain - gain.mean()
+    level = (weight * (rows - out[enough, None])).sum(0) / weight.sum(0)
+    for k in np.flatnonzero(~fit):
+        apart = y[k, twice] - level
+        apart = apart[np.isfinite(apart)]
+        if len(apart) >= MIN_POINTS:
+            out[k] = np.median(apart)
     return out
 
 
@@ -117,17 +128,21 @@ def spread(stops: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(stops)))
 
 
-def worth_dividing(stops: np.ndarray) -> tuple[np.ndarray, dict]:
+def worth_dividing(stops: np.ndarray, fit: np.ndarray | None = None) -> tuple[np.ndarray, dict]:
     """The part of log2 gains (views, 3) that is more than shading does: brightness and white
-    balance, each whole or not at all; and facts.
+    balance, each whole or not at all; and facts. fit: (views,) bool, the photos by which it is
+    judged; without it all.
     """
     level = stops.mean(1, keepdims=True)
     colour = stops - level
+    told = slice(None) if fit is None else fit
+    of_level = spread(level[told])
+    of_colour = spread(np.abs(colour).max(1)[told])
     facts = {
-        "exposure_spread_stops": spread(level),
-        "exposure_matched": spread(level) > SAME,
-        "white_balance_spread_stops": spread(np.abs(colour).max(1)),
-        "white_balance_matched": spread(np.abs(colour).max(1)) > SAME_COLOUR,
+        "exposure_spread_stops": of_level,
+        "exposure_matched": of_level > SAME,
+        "white_balance_spread_stops": of_colour,
+        "white_balance_matched": of_colour > SAME_COLOUR,
     }
     return level * facts["exposure_matched"] + colour * facts["white_balance_matched"], facts
 
@@ -136,7 +151,7 @@ def match_exposure(views: list[View], folder: Path, found: np.ndarray) -> tuple[
     """Divide the photos under `folder` by their log2 gains (views, 3) where those are
     `worth_dividing`; new views and facts.
     """
-    stops, facts = worth_dividing(found)
+    stops, facts = worth_dividing(found, np.array([v.split == "fit" for v in views]))
     if not stops.any():
         return views, facts
 

@@ -8,6 +8,7 @@ unknown). Given cameras keep their own world.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -15,7 +16,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.base.config import Poses
+from pipeline.base.config import Observe, Poses
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json
 from pipeline.base.images import read_exr, read_png, write_exr, write_png
@@ -25,13 +26,17 @@ from pipeline.photos.colmap_model import model_folder, names_of, read_model
 from pipeline.photos.given_cameras import (
     Lens,
     check_shape,
+    lens_of_colmap,
+    pose_of_colmap,
     poses_of_model,
     read_transforms,
     turned_right,
 )
+from pipeline.photos.held_out import hold_out
 from pipeline.photos.photometry import gains, match_exposure, point_brightness
 from pipeline.photos.scene_files import camera_file
 from pipeline.photos.sfm import HINT, on_its_side, reconstruct, sparse_points
+from pipeline.photos.triangulate import triangulated
 from pipeline.photos.turntable import check, light_motion
 
 if TYPE_CHECKING:
@@ -40,6 +45,7 @@ if TYPE_CHECKING:
 # unit normal n, offset of the plane n.x = offset, share of inliers
 Plane: TypeAlias = tuple[np.ndarray, float, float]
 TRIPLES = 6000  # tries for the ground plane
+MOST_TILTED = 3.0  # degrees by which the ground may be out of level in the world of given cameras
 TOLERANCES = 0.004, 0.01  # of the cameras' distance, for points on the ground: fine, coarse
 
 
@@ -338,58 +344,77 @@ def _given_model(
     return model, names, found
 
 
-def _estimated(
-    capture: Path, photos: list[dict], scene: Path, settings: Poses, threads: int
-) -> tuple[dict[str, tuple[Lens, np.ndarray]], pycolmap.Reconstruction, dict[str, str], dict]:
-    """Lens and pose per photo name from COLMAP (given model or reconstruction), the model, its
-    image name -> photo name, and facts.
+@dataclass
+class Mapped:
+    """COLMAP's world: the model, its image name -> photo name, lens and world-to-camera (4, 4) per
+    photo name, and the model's points that a photo shows which was placed by them, per photo name.
     """
-    folder = model_folder(scene)
-    if folder is not None:
-        model, names, found = _given_model(folder, photos)
-        facts: dict = {"source": "colmap"}
-    else:
-        model, names, attempts = reconstruct(capture, photos, settings, threads)
-        found = poses_of_model(model, names)
-        for p in photos:
-            if p["name"] in found and on_its_side(p, photos):  # undo `write_inputs`
-                found[p["name"]] = turned_right(*found[p["name"]])
-        facts = {"source": "sfm", "attempts": attempts}
 
-    facts["reprojection_error_px"] = model.compute_mean_reprojection_error()
-    return found, model, names, facts
+    model: pycolmap.Reconstruction
+    names: dict[str, str]
+    found: dict[str, tuple[Lens, np.ndarray]]
+    placed: dict[str, list[int]]
+
+
+def _read_model(folder: Path, photos: list[dict]) -> tuple[Mapped, dict]:
+    """A given model and facts. Photos that are held out stand where the model has them."""
+    model, names, found = _given_model(folder, photos)
+    facts = {
+        "source": "colmap",
+        "reprojection_error_px": model.compute_mean_reprojection_error(),
+    }
+    return Mapped(model, names, found, {}), facts
+
+
+def _reconstructed(
+    capture: Path, photos: list[dict], settings: Poses, threads: int
+) -> tuple[Mapped, dict]:
+    """Structure from motion of the photos that are not held out, with the others placed by it; and
+    facts.
+    """
+    model, names, placed, attempts = reconstruct(capture, photos, settings, threads)
+    found = poses_of_model(model, names)
+    for file, one in placed.items():
+        found[names[file]] = lens_of_colmap(one.camera), pose_of_colmap(one.pose, file)
+    for p in photos:
+        if p["name"] in found and on_its_side(p, photos):  # undo `write_inputs`
+            found[p["name"]] = turned_right(*found[p["name"]])
+    facts = {
+        "source": "sfm",
+        "attempts": attempts,
+        "reprojection_error_px": model.compute_mean_reprojection_error(),
+    }
+    sights = {names[file]: one.points for file, one in placed.items()}
+    return Mapped(model, names, found, sights), facts
 
 
 def upright(
-    found: dict[str, tuple[Lens, np.ndarray]],
+    mapped: Mapped,
     photos: list[dict],
-    model: pycolmap.Reconstruction,
-    names: dict[str, str],
     capture: Path,
     settings: Poses,
 ) -> tuple[list[dict], list[Lens], list[np.ndarray], np.ndarray, float, dict, dict]:
     """Turn, shift and scale a COLMAP world so that +Y is up and the object lies at the origin:
     photos kept, lenses, poses, centre and radius of the object's sphere, sparse points, facts.
+    Photos that are held out are moved along and say nothing.
     """
+    found = mapped.found
     kept = [p for p in photos if p["name"] in found]
     lenses = [found[p["name"]][0] for p in kept]
     poses = [found[p["name"]][1] for p in kept]
+    xyz, rgb, error, offsets, views = sparse_points(mapped.model, *_sightings(mapped, kept))
 
-    index = {p["name"]: k for k, p in enumerate(kept)}
-    order = {
-        i.image_id: index[names[i.name]]
-        for i in model.images.values()
-        if i.name in names and names[i.name] in index
-    }
-    xyz, rgb, error, offsets, views = sparse_points(model, order)
-
-    up = mean_up(poses)
-    plane = ground_plane(xyz, positions(poses), up, axes_meeting_point(poses), settings.seed)
+    told = [p for p in kept if p["split"] == "fit"]
+    lenses_told = [found[p["name"]][0] for p in told]
+    poses_told = [found[p["name"]][1] for p in told]
+    up = mean_up(poses_told)
+    middle = axes_meeting_point(poses_told)
+    plane = ground_plane(xyz, positions(poses_told), up, middle, settings.seed)
     masks = None
-    if all(p["has_mask"] for p in kept):
-        masks = [read_png(capture / "masks" / f"{p['name']}.png") for p in kept]
-    points = object_points(xyz, poses, lenses, plane, masks)
-    center, radius, how = object_sphere(points, poses, None if masks is not None else plane)
+    if all(p["has_mask"] for p in told):
+        masks = [read_png(capture / "masks" / f"{p['name']}.png") for p in told]
+    points = object_points(xyz, poses_told, lenses_told, plane, masks)
+    center, radius, how = object_sphere(points, poses_told, None if masks is not None else plane)
 
     rotation, shift, scale = _to_library_frame(plane, up, center, radius, settings)
     moved = [similarity(p, rotation, shift, scale) for p in poses]
@@ -403,6 +428,29 @@ def upright(
     }
     center = scale * rotation @ center + shift
     return kept, lenses, moved, center, 1.25 * scale * radius, cloud, facts
+
+
+def _sightings(mapped: Mapped, kept: list[dict]) -> tuple[dict[int, int], dict[int, list[int]]]:
+    """The model's image number -> index in `kept`, of photos that are not held out; and number of a
+    point -> indices of held-out photos that show it.
+    """
+    index = {p["name"]: k for k, p in enumerate(kept)}
+    order = {}
+    others: dict[int, list[int]] = {}
+    for image in mapped.model.images.values():
+        at = index.get(mapped.names.get(image.name, ""))
+        if at is None:
+            continue
+        if kept[at]["split"] == "fit":
+            order[image.image_id] = at
+            continue
+        for point in image.points2D:
+            if point.has_point3D():
+                others.setdefault(point.point3D_id, []).append(at)
+    for name, points in mapped.placed.items():
+        for number in points:
+            others.setdefault(number, []).append(index[name])
+    return order, others
 
 
 def _to_library_frame(
@@ -457,7 +505,8 @@ def _given(
 
     kept = [p for p in photos if p["name"] in found]
     lenses, poses = zip(*(found[p["name"]] for p in kept))
-    center, distance = _middle_and_distance(poses)
+    told = [found[p["name"]][1] for p in kept if p["split"] == "fit"]
+    center, distance = _middle_and_distance(told)
     points = {
         "xyz": np.zeros((0, 3)),
         "rgb": np.zeros((0, 3), np.uint8),
@@ -474,6 +523,30 @@ def _given(
     return kept, lenses, poses, center, 0.5 * float(distance), points, facts
 
 
+def ground_of_given(
+    xyz: np.ndarray, views: list[View], center: np.ndarray, radius: float, settings: Poses
+) -> tuple[np.ndarray, float, dict]:
+    """The ground in the world of given cameras, which is y = height there or not at all, and the
+    object's sphere above it: centre, radius and facts. Without such a ground the sphere stays.
+    """
+    told = [v.world_to_camera for v in views if v.split == "fit"]
+    middle = axes_meeting_point(told)
+    up = np.array([0.0, 1.0, 0.0])
+    plane = ground_plane(xyz, positions(told), up, middle, settings.seed)
+    if plane is None:
+        return center, radius, {"ground": "no ground plane among the matched points"}
+
+    normal, offset, share = plane
+    tilt = float(np.degrees(np.arccos(np.clip(normal @ up, -1, 1))))
+    if tilt > MOST_TILTED:
+        return center, radius, {"ground": f"tilted by {tilt:.1f} degrees against the cameras' up"}
+
+    center, radius, how = object_sphere(object_points(xyz, told, [], plane, None), told, plane)
+    height = (offset - normal[0] * center[0] - normal[2] * center[2]) / normal[1]
+    facts = {"normal": up, "offset": float(height), "inlier_share": share}
+    return center, 1.25 * radius, {"plane": facts, "ground": "found", "object_found_by": how}
+
+
 def _photometry(
     views: list[View],
     out: Path,
@@ -487,9 +560,11 @@ def _photometry(
     and facts. sphere: the object's centre and radius.
     """
     brightness = point_brightness(views, out, points)
-    stops = gains(brightness)
-    green = brightness[..., 1] - stops[:, 1, None]
-    motion = light_motion(views, green, points["xyz"], *sphere)
+    fit = np.array([v.split == "fit" for v in views])
+    stops = gains(brightness, fit)
+    green = brightness[fit][..., 1] - stops[fit, 1, None]
+    told = [v for v in views if v.split == "fit"]
+    motion = light_motion(told, green, points["xyz"], *sphere)
     accept = settings.moving_light == "accept"
     facts: dict = {
         "light_motion": motion.facts(),
@@ -501,29 +576,44 @@ def _photometry(
     return views, facts
 
 
-def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: int) -> dict:
-    """Write cameras.json, images/, masks/ and points.npz into `out`; returns metrics.
+def make_poses(
+    capture: Path, scene: Path, out: Path, settings: Poses, held_out: Observe, threads: int
+) -> dict:
+    """Write cameras.json, images/, masks/ and points.npz into `out`; returns metrics. held_out:
+    says which photos are kept for scoring (`hold_out`), of which no stage learns anything.
 
     Raises InputError when cameras are unusable or photos do not connect.
     """
     photos = read_json(capture / "photos.json")["photos"]
     file = camera_file(scene)
+    folder = model_folder(scene)
     if file:
+        photos = hold_out(photos, held_out)
         kept, lenses, poses, center, radius, points, facts = _given(file, scene, photos)
     else:
-        found, model, names, facts = _estimated(capture, photos, scene, settings, threads)
+        if folder is not None:
+            mapped, facts = _read_model(folder, photos)
+            known = hold_out([p for p in photos if p["name"] in mapped.found], held_out)
+            photos = known + [p for p in photos if p["name"] not in mapped.found]
+        else:
+            photos = hold_out(photos, held_out)
+            mapped, facts = _reconstructed(capture, photos, settings, threads)
         kept, lenses, poses, center, radius, points, more = upright(
-            found, photos, model, names, capture, settings
+            mapped, photos, capture, settings
         )
         facts |= more
-    if len(kept) < 3:
+    if sum(p["split"] == "fit" for p in kept) < 3:
         raise InputError(f"only {len(kept)} photos have a camera", scene, HINT)
 
     lenses = [lens.at(p["width"], p["height"]) for lens, p in zip(lenses, kept)]
     with_camera = {p["name"] for p in kept}
     facts["unregistered"] = [p["name"] for p in photos if p["name"] not in with_camera]
     views = write_views(capture, out, kept, lenses, poses)
-    if len(points["xyz"]):
+    if file and not any(p["has_mask"] for p in kept):
+        points = triangulated(views, out, settings, threads)
+        center, radius, ground = ground_of_given(points["xyz"], views, center, radius, settings)
+        facts |= ground
+    elif len(points["xyz"]):
         views, seen = _photometry(views, out, points, (center, radius), scene, settings)
         facts |= seen
 
@@ -531,6 +621,7 @@ def make_poses(capture: Path, scene: Path, out: Path, settings: Poses, threads: 
     save_cameras(out / "cameras.json", Rig(views, center, radius, facts["source"], facts))
     return {
         "registered": len(kept),
+        "held_out": [p["name"] for p in kept if p["split"] == "test"],
         "photos": len(photos),
         "points": len(points["xyz"]),
         "radius": radius,

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from pipeline.base.errors import InputError
+from pipeline.photos.colmap_model import model_folder
 from pipeline.photos.decode import SUFFIXES
 from pipeline.photos.given_masks import mask_file
 from pipeline.photos.transforms_file import read_transforms_file
@@ -35,6 +36,11 @@ NO_PHOTO = "mask whose name matches no photo's: call it <stem of the photo>.png"
 def camera_file(scene: Path) -> Path | None:
     """The scene's transforms file, if it has one."""
     return next((scene / name for name in CAMERA_FILES if (scene / name).exists()), None)
+
+
+def cameras_given(scene: Path) -> bool:
+    """Whether the scene has cameras, which name their photos: those that are named are all kept."""
+    return camera_file(scene) is not None or model_folder(scene) is not None
 
 
 def path_in_scene(scene: Path, name: str, file: Path) -> Path:
@@ -105,11 +111,7 @@ def find_photos(scene: Path) -> list[tuple[str, Path, str]]:
             out += [(photo_name(scene, p), p, "test") for p in named_frames(scene, test)]
     else:
         folder = scene / "images" if (scene / "images").is_dir() else scene
-        paths = sorted(
-            p
-            for p in folder.rglob("*")
-            if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and not p.is_dir()
-        )
+        paths = [p for p in _visible_files(folder) if p.suffix.lower() in SUFFIXES]
         out = [
             (photo_name(scene, p), p, "fit")
             for p in paths
@@ -185,5 +187,12 @@ def left_out(scene: Path, found: list[tuple[str, Path, str]]) -> dict[str, list[
 
 
 def _visible_files(folder: Path) -> Iterable[Path]:
-    """All files below a folder, sorted, without hidden ones; none if there is no such folder."""
-    return (f for f in sorted(folder.rglob("*")) if f.is_file() and not f.name.startswith("."))
+    """All files below a folder, sorted, without hidden ones and those in hidden folders; none if
+    there is no such folder. Links that lead nowhere are among them.
+    """
+    return (f for f in sorted(folder.rglob("*")) if not f.is_dir() and not _hidden(f, folder))
+
+
+def _hidden(file: Path, folder: Path) -> bool:
+    """Whether the file, or a folder between it and `folder`, has a name that begins with a dot."""
+    return any(part.startswith(".") for part in file.relative_to(folder).parts)

@@ -18,6 +18,8 @@ from pipeline.base.config import Poses
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, to_srgb8
 from pipeline.base.progress import progress
+from pipeline.geometry.cameras import View
+from pipeline.photos.held_out import Placed, place, without_matches
 
 if TYPE_CHECKING:
     import pycolmap
@@ -62,7 +64,9 @@ def write_inputs(
     folders: dict[tuple, str] = {}
 
     for k, p in enumerate(progress(photos, "photos for matching")):
-        image = Image.fromarray(to_srgb8(read_exr(capture / "images" / f"{p['name']}.exr")))
+        # as it was exposed: what is bright in a short exposure is white at the scene's
+        exposed = read_exr(capture / "images" / f"{p['name']}.exr") * np.float32(p["gain"])
+        image = Image.fromarray(to_srgb8(exposed))
         image.thumbnail((settings.max_size, settings.max_size), Image.Resampling.LANCZOS)
         if on_its_side(p, photos):
             image = image.transpose(Image.Transpose.ROTATE_90)
@@ -84,7 +88,39 @@ def _say(step: str, tag: str) -> None:
     print(f"{step} ({tag})", file=sys.stderr, flush=True)
 
 
-def _extract(database: Path, images: Path, settings: Poses, thorough: bool, threads: int) -> None:
+def write_matched(picture: Path, view: View, out: Path, most: int) -> View:
+    """An 8-bit copy, its long side at most `most` pixels, of a picture without distortion; the view
+    at its size.
+    """
+    image = Image.fromarray(to_srgb8(read_exr(picture)))
+    image.thumbnail((most, most), Image.Resampling.LANCZOS)
+    image.save(out, quality=97, subsampling=0)
+    return view.at_size(*image.size)
+
+
+def extract_each(database: Path, images: Path, settings: Poses, threads: int) -> None:
+    """Features of pictures, each with a camera of its own, into the database."""
+    import pycolmap
+
+    _say("features", "given cameras")
+    _extract(database, images, settings, False, threads, pycolmap.CameraMode.PER_IMAGE)
+
+
+def match_given(database: Path, count: int, settings: Poses, threads: int) -> None:
+    """Matches of the database's `count` pictures, which are one sequence."""
+    _say("matching", "given cameras")
+    exhaustive = settings.matching == "exhaustive" or settings.matching == "auto" and count <= 60
+    _match(database, exhaustive, False, threads)
+
+
+def _extract(
+    database: Path,
+    images: Path,
+    settings: Poses,
+    thorough: bool,
+    threads: int,
+    cameras: pycolmap.CameraMode,
+) -> None:
     """SIFT features of all photos into the database."""
     import pycolmap
 
@@ -103,7 +139,7 @@ def _extract(database: Path, images: Path, settings: Poses, thorough: bool, thre
         images,
         reader_options=reader,
         extraction_options=options,
-        camera_mode=pycolmap.CameraMode.PER_FOLDER,
+        camera_mode=cameras,
     )
 
 
@@ -143,9 +179,16 @@ def _largest(
 
 
 def _attempt(
-    folder: Path, tag: str, count: int, cameras: int, settings: Poses, threads: int
+    folder: Path,
+    tag: str,
+    count: int,
+    cameras: int,
+    held_out: list[str],
+    settings: Poses,
+    threads: int,
 ) -> tuple[pycolmap.Reconstruction | None, dict]:
-    """One run of extraction, matching and mapping; the model with most images, or None.
+    """One run of extraction, matching and mapping; the model with most images, or None. Files
+    `held_out` are matched and not mapped.
 
     Neighbours in COLMAP's sequence are those of one camera, so more of the photos are matched with
     all others where there are several.
@@ -156,7 +199,7 @@ def _attempt(
     database = folder / f"{tag}.db"
     images = folder / "images"
     _say("features", tag)
-    _extract(database, images, settings, thorough, threads)
+    _extract(database, images, settings, thorough, threads, pycolmap.CameraMode.PER_FOLDER)
 
     _say("matching", tag)
     if settings.matching == "auto":
@@ -167,7 +210,9 @@ def _attempt(
 
     _say("mapping", tag)
     options = _mapper_options(pycolmap.IncrementalPipelineOptions(), settings, threads)
-    models = pycolmap.incremental_mapping(database, images, folder / tag, options)
+    models = pycolmap.incremental_mapping(
+        _to_map(database, held_out), images, folder / tag, options
+    )
 
     best, registered = _largest(models)
     return best, {
@@ -177,8 +222,17 @@ def _attempt(
     }
 
 
+def _to_map(database: Path, held_out: list[str]) -> Path:
+    """The database that is mapped: without the matches of files that are held out."""
+    if not held_out:
+        return database
+    copy = database.with_name(f"{database.stem}-mapped.db")
+    without_matches(database, copy, held_out)
+    return copy
+
+
 def _global_attempt(
-    folder: Path, settings: Poses, threads: int
+    folder: Path, held_out: list[str], settings: Poses, threads: int
 ) -> tuple[pycolmap.Reconstruction | None, dict]:
     """Global mapping (GLOMAP) of the matches that the thorough attempt found."""
     import pycolmap
@@ -186,9 +240,8 @@ def _global_attempt(
     _say("mapping", "global")
     options = _mapper_options(pycolmap.GlobalPipelineOptions(), settings, threads)
     (folder / "global").mkdir()
-    models = pycolmap.global_mapping(
-        folder / "thorough.db", folder / "images", folder / "global", options
-    )
+    database = _to_map(folder / "thorough.db", held_out)
+    models = pycolmap.global_mapping(database, folder / "images", folder / "global", options)
 
     best, registered = _largest(models)
     return best, {"attempt": "global", "models": registered}
@@ -201,8 +254,9 @@ def registered_images(model: pycolmap.Reconstruction | None) -> int:
 
 def reconstruct(
     capture: Path, photos: list[dict], settings: Poses, threads: int
-) -> tuple[pycolmap.Reconstruction, dict[str, str], list[dict]]:
-    """(pycolmap Reconstruction, file name -> photo name, attempts). InputError when too few photos
+) -> tuple[pycolmap.Reconstruction, dict[str, str], dict[str, Placed], list[dict]]:
+    """(pycolmap Reconstruction of the photos whose `split` is "fit", file name -> photo name, the
+    others as far as they could be placed by file name, attempts). InputError when too few photos
     connect.
     """
     import pycolmap
@@ -213,56 +267,65 @@ def reconstruct(
         folder = Path(temporary)
         (folder / "images").mkdir()
         names, cameras = write_inputs(capture, photos, folder / "images", settings)
+        split = {p["name"]: p["split"] for p in photos}
+        held_out = [file for file, name in names.items() if split[name] == "test"]
+        count = len(photos) - len(held_out)
 
         best = None
+        matched = folder / "plain.db"
         attempts = []
         for tag in ("plain", "thorough", "global"):
             if tag == "global":
-                model, facts = _global_attempt(folder, settings, threads)
+                model, facts = _global_attempt(folder, held_out, settings, threads)
             else:
                 (folder / tag).mkdir()
-                model, facts = _attempt(folder, tag, len(photos), cameras, settings, threads)
+                model, facts = _attempt(
+                    folder, tag, len(photos), cameras, held_out, settings, threads
+                )
             attempts.append(facts | {"cameras": cameras})
 
             if registered_images(model) > registered_images(best):
                 best = model
+                matched = folder / ("plain.db" if tag == "plain" else "thorough.db")
             registered = registered_images(best)
-            if registered and registered >= settings.min_registered * len(photos):
+            if registered and registered >= settings.min_registered * count:
                 break
             print(
-                f"{registered} of {len(photos)} photos registered by the {tag} attempt",
+                f"{registered} of {count} photos registered by the {tag} attempt",
                 file=sys.stderr,
                 flush=True,
             )
+        placed = {} if best is None else place(matched, best, held_out)
 
-    if best is None or registered < max(3, 0.5 * len(photos)):
+    if best is None or registered < max(3, 0.5 * count):
         raise InputError(
-            f"only {registered} of {len(photos)} photos could be connected: "
+            f"only {registered} of {count} photos could be connected: "
             "too little overlap or texture",
             capture.parent.name,
             HINT,
         )
-    return best, names, attempts
+    return best, names, placed, attempts
 
 
 def sparse_points(
-    model: pycolmap.Reconstruction, order: dict[int, int]
+    model: pycolmap.Reconstruction, order: dict[int, int], others: dict[int, list[int]]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The model's points that two or more views see: xyz (n, 3), rgb (n, 3) uint8, reprojection
     error in pixels (n,), offsets (n + 1,), views. Point k is seen by views[offsets[k] : offsets[k +
-    1]]. `order`: the model's image number -> index of the view.
+    1]]. `order`: the model's image number -> index of the view; `others`: number of a point ->
+    views that see it too and have not made it.
     """
     xyz = []
     rgb = []
     error = []
     views = []
-    for point in model.points3D.values():
+    for number, point in model.points3D.items():
         seen = sorted({order[e.image_id] for e in point.track.elements if e.image_id in order})
         if len(seen) >= 2:
             xyz.append(point.xyz)
             rgb.append(point.color)
             error.append(point.error)
-            views.append(seen)
+            views.append(sorted({*seen, *others.get(number, [])}))
 
     offsets = np.concatenate([[0], np.cumsum([len(v) for v in views])])
     return (

@@ -1,41 +1,42 @@
-"""What settings of a sampler and its priors must have in common, found out before anything large is
-read.
+"""What settings of a sampler and its priors must have in common, found out before the first job.
+Without torch, so that the Snakefile may ask at no cost.
 """
 
 from __future__ import annotations
 
 from pipeline.base.config import Sample
 from pipeline.base.errors import InputError, nearest
-from pipeline.posterior.samplers import SAMPLERS
-from pipeline.prior.diffusion import DiffusionPrior
-from pipeline.prior.generators import load_generator
-from pipeline.prior.load import load_gaussian
-from pipeline.prior.locate import generator_files
-from pipeline.prior.protocol import Prior
+from pipeline.prior.locate import find_prior, generator_files
+from pipeline.prior.weight_facts import generator_rows, prior_facts
 
 BY_OPERATOR = ("split_gibbs", "gaussian")  # samplers that pool the light's rows
 
 
-def check_settings(settings: Sample, prior: Prior) -> None:
-    """Raises InputError for an unknown sampler, a class that the prior does not know, a search
+def check_settings(settings: Sample) -> None:
+    """Raises InputError for a prior that is not there, a class that it does not know, a search
     prior that is none, rows of the light that do not divide the priors' rows, and a prior whose
     rows the sampler's generator cannot make.
     """
-    if settings.method not in SAMPLERS:
+    prior = prior_facts(settings.prior)
+    if prior.labels and settings.label is not None and settings.label not in prior.labels:
         raise InputError(
-            f"unknown sampler '{settings.method}'",
-            "sample.method",
-            nearest(settings.method, SAMPLERS),
+            f"the prior has no class '{settings.label}'",
+            "sample.label",
+            nearest(settings.label, prior.labels),
         )
-    if isinstance(prior, DiffusionPrior):
-        prior.label_index(settings.label)
     if settings.method in BY_OPERATOR:
-        search = load_gaussian(settings.search_prior)
+        search = prior_facts(settings.search_prior)
+        if search.format != "gaussian":
+            raise InputError(
+                "this prior is a network, a Gaussian prior is asked for",
+                find_prior(settings.search_prior),
+                "name one like gaussian_small in sample.search_prior",
+            )
         _divides("sample.search_prior", search.height, prior.height)
         _divides("sample.light", settings.light, prior.height)
         _divides("sample.light", settings.light, search.height)
     if generator_files(settings.method):
-        rows = load_generator(settings.method).rows
+        rows = generator_rows(settings.method)
         if prior.height % rows:
             raise InputError(
                 f"{settings.method} makes lights of a multiple of {rows} rows, not of the prior's "

@@ -12,10 +12,10 @@ from torch import nn
 
 from pipeline.prior.network import Conv
 from pipeline.prior.value_code import Code
+from pipeline.prior.weight_facts import FIRST_ROWS, GENERATOR_ROWS
 
 LATENTS = 64
 CHANNELS = (64, 48, 32, 24)  # at 4, 8, 16 and 32 rows
-ROWS = 4  # of the first scale
 SLOPE = 0.2  # of the leaky ReLU
 
 
@@ -35,8 +35,8 @@ class AdversarialGenerator(nn.Module):
         super().__init__()
         self.code = code
         self.channels = tuple(channels)
-        self.rows = ROWS * 2 ** (len(channels) - 1)
-        self.enter = nn.Linear(LATENTS, channels[0] * ROWS * 2 * ROWS)
+        self.rows = GENERATOR_ROWS["adversarial"]({"channels": channels})
+        self.enter = nn.Linear(LATENTS, channels[0] * FIRST_ROWS * 2 * FIRST_ROWS)
         self.first = Conv(channels[0], channels[0])
         self.up = nn.ModuleList([Conv(a, b) for a, b in zip(channels, channels[1:])])
         self.leave = nn.Conv2d(channels[-1], 3, 1)
@@ -53,7 +53,7 @@ class AdversarialGenerator(nn.Module):
         return pixel_norm(F.leaky_relu(x, SLOPE))
 
     def forward(self, z: torch.Tensor) -> torch.Tensor:
-        x = self.enter(z).reshape(len(z), self.channels[0], ROWS, 2 * ROWS)
+        x = self.enter(z).reshape(len(z), self.channels[0], FIRST_ROWS, 2 * FIRST_ROWS)
         x = self._active(self.first(self._active(x)))
         for conv in self.up:
             x = self._active(conv(F.interpolate(x, scale_factor=2, mode="nearest")))

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 
 from pipeline.base.errors import InputError, nearest
-from pipeline.prior.network import LABELS, Denoiser
+from pipeline.prior.network import Denoiser
 from pipeline.prior.value_code import Code
+from pipeline.prior.weight_facts import LABELS
 
 
 class DiffusionPrior:

@@ -12,7 +12,8 @@ from pipeline.prior.diffusion import DiffusionPrior
 from pipeline.prior.gaussian import GaussianPrior
 from pipeline.prior.locate import find_prior
 from pipeline.prior.protocol import Prior
-from pipeline.prior.weight_files import CURE, load_parts
+from pipeline.prior.weight_facts import CURE
+from pipeline.prior.weight_files import load_parts
 
 PRIORS: dict[str, Callable[[dict, dict], Prior]] = {
     "diffusion": DiffusionPrior.from_tensors,

@@ -16,8 +16,9 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from pipeline.prior.weight_facts import LABELS
+
 SIGMA_DATA = 0.5
-LABELS = ("indoor", "outdoor", "studio", "night")  # index len(LABELS) stands for "no label"
 KINDS = len(LABELS) + 1  # a map that is made, not measured, adds KINDS to its index
 
 

@@ -14,12 +14,9 @@ from safetensors.torch import save_file
 from pipeline.base.errors import InputError
 from pipeline.base.files import atomic_path
 from pipeline.prior.locate import part_paths
+from pipeline.prior.weight_facts import CURE
 
 PART = 15 * 2**20
-CURE = (
-    "give a file written by `python -m pipeline.prior.training.export` or "
-    "pipeline.prior.training.fit_gaussian"
-)
 
 
 def _groups(tensors: dict[str, torch.Tensor], limit: int) -> list[dict[str, torch.Tensor]]:

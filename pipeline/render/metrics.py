@@ -18,6 +18,9 @@ from pipeline.render.observe import Observations, inner_mask
 from pipeline.render.renderer import Explanation, JitteredRays, Renderer
 
 SCORED_SIDE = 640  # longest side in pixels at which held-out photos are compared
+FEWEST_SCORED = (
+    16  # pixels of a held-out view, or all that it has: fewer have no spread to speak of
+)
 
 
 class PhotosAndRenderer(Protocol):
@@ -137,9 +140,11 @@ def held_out_photos(
 
 
 def some_of(mask: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
-    """A random `share` of the pixels of `mask` (h, w), at least one, all with the same chance."""
+    """A random `share` of the pixels of `mask` (h, w), at least FEWEST_SCORED or all, all with the
+    same chance.
+    """
     inside = np.flatnonzero(mask)
-    count = min(max(round(share * len(inside)), 1), len(inside))
+    count = min(max(round(share * len(inside)), FEWEST_SCORED), len(inside))
     chosen = np.zeros(mask.size, bool)
     chosen[rng.choice(inside, count, replace=False)] = True
     return chosen.reshape(mask.shape)
@@ -149,12 +154,15 @@ def standard_error(error: np.ndarray, of: int) -> float:
     """Standard error in dB of the PSNR from squared errors (k, 3) of k random pixels out of `of`.
 
     The mean's relative standard error, with the finite population's correction (Cochran 1977,
-    Sampling Techniques, eq. 2.9), times 10 / log 10.
+    Sampling Techniques, eq. 2.9), times 10 / log 10. All pixels of a view have none. Raises
+    ValueError for one pixel out of several, whose spread nobody knows.
     """
     per_pixel = error.mean(1)
     count = len(per_pixel)
+    if count == of:
+        return 0.0
     if count < 2:
-        return float("inf")
+        raise ValueError(f"{count} pixel out of {of} has no standard error")
     variance = per_pixel.var(ddof=1) / count * (1 - count / of)
     return float(10 / np.log(10) * np.sqrt(max(variance, 0)) / max(per_pixel.mean(), 1e-10))
 

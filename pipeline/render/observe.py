@@ -36,20 +36,6 @@ DEFAULT_POSES = Poses()
 SUBPIXELS = 4  # points along a pixel's side that maps are averaged over
 
 
-def hold_out(rig: Rig, share: float, seed: int) -> list[str]:
-    """Names of the views kept for scoring: the scene's own test views, else a random share of all
-    (at least one from 8 views on).
-    """
-    test = [view.name for view in rig.views if view.split == "test"]
-    names = [view.name for view in rig.fit_views()]
-    if test or share == 0:
-        return test
-
-    least = 1 if len(names) >= 8 else 0
-    count = max(round(share * len(names)), least)
-    return sorted(np.random.default_rng(seed).choice(names, count, replace=False).tolist())
-
-
 def inner_mask(mask: np.ndarray, erode: float) -> np.ndarray:
     """The mask without a rim of `erode` pixels, where photos mix object and background."""
     framed = np.pad(mask.astype(np.uint8), 1)  # the picture's border counts as background
@@ -195,8 +181,8 @@ def make_observations(
     moves with the camera and is to be refused.
     """
     rig = load_cameras(poses / "cameras.json")
-    held_out = hold_out(rig, settings.held_out, settings.seed)
-    views = [view for view in rig.fit_views() if view.name not in held_out]
+    held_out = [view.name for view in rig.test_views()]
+    views = rig.fit_views()
 
     table, drawn = observe_views(views, poses, masks, mesh, settings)
     names = [view.name for view in views] + held_out

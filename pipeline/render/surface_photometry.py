@@ -74,13 +74,16 @@ def variance_left(level: np.ndarray, stops: np.ndarray) -> float:
     return float((rest**2).sum() / square) if square else 1.0
 
 
-def worth_dividing(brightness: np.ndarray, stops: np.ndarray) -> tuple[np.ndarray, dict]:
+def worth_dividing(
+    brightness: np.ndarray, stops: np.ndarray, fit: np.ndarray
+) -> tuple[np.ndarray, dict]:
     """The part of log2 gains (views, 3) that explains what the photos show: brightness and white
-    balance, each whole or not at all; and facts. brightness: log2 radiance (views, cells, 3).
+    balance, each whole or not at all; and facts. brightness: log2 radiance (views, cells, 3); fit:
+    (views,) bool, the photos by which it is judged.
     """
     mean, level = brightness.mean(2, keepdims=True), stops.mean(1, keepdims=True)
-    left = variance_left(mean, level)
-    left_of_colour = variance_left(brightness - mean, stops - level)
+    left = variance_left(mean[fit], level[fit])
+    left_of_colour = variance_left((brightness - mean)[fit], (stops - level)[fit])
     facts = {
         "exposure_left_unexplained": left,
         "exposure_matched": left < LEFT,
@@ -99,14 +102,16 @@ def surface_photometry(
     Raises InputError where the light moves with the camera and `moving_light` is not "accept".
     """
     brightness = cell_brightness(table, len(views))
-    found = gains(brightness)
-    motion = surface_motion(brightness, found, views, rig.center)
+    fit = np.array([v.split == "fit" for v in views])
+    found = gains(brightness, fit)
+    told = [v for v in views if v.split == "fit"]
+    motion = surface_motion(brightness[fit], found[fit], told, rig.center)
     accept = settings.moving_light == "accept"
     facts: dict = {"light_motion": motion.facts(), "warnings": check(motion, where, accept)}
     if not settings.match_exposure:
         return np.zeros_like(found), facts
 
-    stops, more = worth_dividing(brightness, found)
+    stops, more = worth_dividing(brightness, found, fit)
     if stops.any():
         more["exposure_left_stops"] = {v.name: s.tolist() for v, s in zip(views, stops)}
     return stops, facts | more

@@ -58,7 +58,12 @@ def summary(scene: Scene, facts: dict[str, dict]) -> list[tuple[str, str]]:
         ("photos placed", f"{facts['poses']['registered']} of {facts['poses']['photos']}"),
     ]
     if scores:
-        out.append(("held-out views", f"{sum(scores) / len(scores):.1f} dB PSNR"))
+        score = f"{sum(scores) / len(scores):.1f} dB PSNR"
+    elif facts["observe"]["held_out"]:
+        score = "none shows the object"
+    else:
+        score = "none was held out: every photo is in the asset"
+    out.append(("held-out views", score))
     out.append(("surface", facts["mesh"]["method"]))
     out.append(("sum of stage times", f"{seconds / 60:.1f} min"))
     return out

@@ -175,7 +175,7 @@ def evidence(
     # one brightness for all draws: a light that one of them takes for brighter makes it darker here
     brightness = float(np.exp(np.mean([np.log(mean_radiance(x).mean()) for x in lights])))
     pictures = [relit(renderer, x, views, brightness) for x in explanations]
-    masks = small_views(work, rig, "masks/masks", OUTLINE_SIDE, OUTLINE_VIEWS)
+    masks = small_views(work, rig.training(), "masks/masks", OUTLINE_SIDE, OUTLINE_VIEWS)
     return Evidence(
         agreement(pictures, 2 * [mask for _, mask in views]),
         float(np.mean(held_out)),

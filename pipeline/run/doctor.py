@@ -36,6 +36,7 @@ STACK = (
     "threadpoolctl",
     "torch",
     "usd-core",
+    "xatlas",
 )
 
 

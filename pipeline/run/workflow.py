@@ -17,7 +17,8 @@ from pipeline.base.errors import InputError
 from pipeline.base.locks import lock
 from pipeline.photos.colmap_model import model_folder
 from pipeline.photos.given_masks import mask_file
-from pipeline.photos.scene_files import camera_file, find_photos
+from pipeline.photos.scene_files import camera_file, cameras_given, find_photos
+from pipeline.posterior.check_settings import check_settings
 from pipeline.prior.locate import generator_files, prior_files
 from pipeline.run.stage import overrides
 from pipeline.run.times import not_from_the_future, settle_times
@@ -152,6 +153,7 @@ class Scenes:
         if name not in self.loaded:
             file = CONFIGS / f"{checked_name(name)}.yaml"
             scene = load_scene(file, overrides(self.settings))
+            check_settings(scene.sample)
             if self.exclusive():
                 self.locks.append(only_one_run(WORK / name / ".running"))
                 settle_times([WORK / name, EXPORTS / name, *exported_files(name)])
@@ -194,10 +196,12 @@ class Scenes:
         return not_from_the_future(photos + masks)
 
     def order(self, name: str) -> str:
-        """Photos in their order, and which are for scoring only: what the capture stage takes from
-        a transforms file beside the photos' paths.
+        """Photos in their order, which are for scoring only, and whether cameras are given, so that
+        none may be left out: what the capture stage takes from given cameras beside the photos'
+        paths.
         """
-        return json.dumps([[photo, split] for photo, _, split in self._found(name)])
+        photos = [[photo, split] for photo, _, split in self._found(name)]
+        return json.dumps([photos, cameras_given(Path(self(name).photos))])
 
     def _found(self, name: str) -> list[tuple[str, Path, str]]:
         return find_photos(Path(self(name).photos))
@@ -210,6 +214,11 @@ class Scenes:
         ]
         model = model_folder(folder)
         return not_from_the_future(given + (sorted(model.glob("*.*")) if model else []))
+
+    def held_out(self, name: str) -> str:
+        """What the poses stage reads of the section observe: which photos are kept for scoring."""
+        observe = self(name).observe
+        return json.dumps([observe.held_out, observe.seed])
 
     def network(self, name: str) -> list[str]:
         """The user's network that the masks stage runs, if it is asked for."""

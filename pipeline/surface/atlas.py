@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,19 @@ from pipeline.base.config import Atlas
 from pipeline.base.errors import InputError
 from pipeline.base.images import write_png
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh, vertex_normals
-from pipeline.surface.charts import cut, flattened
+from pipeline.geometry.normal_maps import mirrored_share
+from pipeline.surface.charts import FlatChart, cut, cut_again, flattened
 from pipeline.surface.pack import packed
+from pipeline.surface.pack_tight import tightly_packed
 from pipeline.surface.plate import umbrella
 from pipeline.surface.raster import rasterize
 
 PACK_AT = 1024  # texels along a side at which charts are packed at most
+PAGES = 4  # times that charts are packed at most, where some cover a texel twice
 EVENING = 10  # times that vertices are moved towards their neighbours before charts are cut
+SHRUNK = 0.5  # of its true length a chart keeps at least: evening makes small loose parts vanish
+
+PACKERS = {"xatlas": packed, "tight": tightly_packed}
 
 
 def judge(uv: np.ndarray, faces: np.ndarray, size: int = 1024) -> dict:
@@ -39,24 +46,55 @@ def unwrap(mesh: Mesh, settings: Atlas) -> tuple[Mesh, int]:
     charts nor take more texels than their surroundings. Above PACK_AT texels, charts are packed at
     that resolution, with the same share of the square as padding.
     """
-    even = _evened(mesh)
+    even = evened(mesh)
     charts = flattened(even, mesh.faces, cut(even, mesh.faces))
-    corners = [np.searchsorted(c.index, mesh.faces[c.members]) for c in charts]
+    return on_a_page(mesh, even, charts, settings)
+
+
+def on_a_page(
+    mesh: Mesh, even: np.ndarray, charts: list[FlatChart], settings: Atlas
+) -> tuple[Mesh, int]:
+    """The mesh with its charts packed, and their number. A chart that covers a texel of the page
+    twice is cut in two, and all are packed anew. even: (n, 3), on which charts are laid flat.
+    """
     resolution = min(settings.resolution, PACK_AT)
     padding = int(np.ceil(settings.padding * resolution / settings.resolution))
-    placed = packed([(c.uv, k) for c, k in zip(charts, corners)], resolution, padding)
+    pack = PACKERS[settings.packer]
+    for _ in range(PAGES):
+        corners = [np.searchsorted(c.index, mesh.faces[c.members]) for c in charts]
+        placed = pack([(kept(c, mesh), k) for c, k in zip(charts, corners)], resolution, padding)
+        found = joined(mesh, charts, placed)
+        assert found.uv is not None
+        if (rasterize(found.uv, found.faces, PACK_AT) < 2).all():
+            break
+        once = [(rasterize(uv, k, PACK_AT) < 2).all() for uv, k in zip(placed, corners)]
+        charts = [
+            part
+            for chart, good in zip(charts, once)
+            for part in ([chart] if good else cut_again(even, mesh.faces, chart))
+        ]
+    return found, len(placed)
 
+
+def joined(mesh: Mesh, charts: list[FlatChart], placed: list[np.ndarray]) -> Mesh:
+    """The mesh with each chart's coordinates (k, 2) on the page; vertices are split at seams."""
     faces = np.empty_like(mesh.faces)
     start = 0
-    for chart, corner in zip(charts, corners):
-        faces[chart.members] = start + corner
+    for chart in charts:
+        faces[chart.members] = start + np.searchsorted(chart.index, mesh.faces[chart.members])
         start += len(chart.index)
     index = np.concatenate([c.index for c in charts])
-    uv = np.concatenate(placed)
-    return Mesh(mesh.vertices[index], faces, mesh.normals[index], uv), len(charts)
+    return Mesh(mesh.vertices[index], faces, mesh.normals[index], np.concatenate(placed))
 
 
-def _evened(mesh: Mesh) -> np.ndarray:
+def kept(chart: FlatChart, mesh: Mesh) -> np.ndarray:
+    """The chart's u, v (k, 2), enlarged where evening took more than SHRUNK of its length."""
+    true = float(np.linalg.norm(np.ptp(mesh.vertices[chart.index], axis=0)))
+    laid = float(np.linalg.norm(np.ptp(chart.uv, axis=0)))
+    return chart.uv * max(1.0, SHRUNK * true / max(laid, 1e-30))
+
+
+def evened(mesh: Mesh) -> np.ndarray:
     """The vertices (n, 3), moved EVENING times half-way to their neighbours' mean."""
     links = umbrella(len(mesh.vertices), mesh.faces)
     out = mesh.vertices.astype(float)
@@ -77,7 +115,8 @@ def make_atlas(mesh_path: Path, out: Path, settings: Atlas) -> dict:
     mesh = load_mesh(mesh_path)
     own = judge(mesh.uv, mesh.faces) if mesh.uv is not None else None
     if own and own["in_range"] and own["overlap"] < 0.005:
-        kept = mesh
+        result = mesh
+        by = dict.fromkeys(("cut_by", "laid_out_by", "packed_by"), "the mesh's own UVs")
         facts = own
         charts = None
         why = "the mesh's own UVs are a valid atlas"
@@ -89,9 +128,10 @@ def make_atlas(mesh_path: Path, out: Path, settings: Atlas) -> dict:
                 f"in [0, 1]: {own['in_range']})"
             )
             mesh = weld(mesh)
-        kept, charts = unwrap(mesh, settings)
-        assert kept.uv is not None
-        facts = judge(kept.uv, kept.faces)
+        result, charts = unwrap(mesh, settings)
+        by = made_by(settings.packer)
+        assert result.uv is not None
+        facts = judge(result.uv, result.faces)
 
     if not facts["in_range"] or facts["overlap"] > 0.01:
         raise InputError(
@@ -100,16 +140,27 @@ def make_atlas(mesh_path: Path, out: Path, settings: Atlas) -> dict:
             "lower mesh.faces, or give a mesh with good UVs",
         )
 
-    save_mesh(out / "mesh_uv.ply", kept)
-    save_mesh(out / "mesh_uv.obj", kept)
-    assert kept.uv is not None
-    write_png(out / "atlas.png", layout(kept.uv, kept.faces))
+    save_mesh(out / "mesh_uv.ply", result)
+    save_mesh(out / "mesh_uv.obj", result)
+    assert result.uv is not None
+    write_png(out / "atlas.png", layout(result.uv, result.faces))
     return {
         "charts": charts,
         "why": why,
-        "faces": len(kept.faces),
-        "vertices": len(kept.vertices),
-    } | facts
+        "faces": len(result.faces),
+        "vertices": len(result.vertices),
+        "mirrored": mirrored_share(result),
+    } | (by | facts)
+
+
+def made_by(packer: str) -> dict[str, str]:
+    """Who cuts the surface into charts, lays them flat and packs them."""
+    xatlas = f"xatlas {metadata.version('xatlas')}"
+    return {
+        "cut_by": "heliograph",
+        "laid_out_by": "heliograph",
+        "packed_by": xatlas if packer == "xatlas" else "heliograph",
+    }
 
 
 def weld(mesh: Mesh) -> Mesh:

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
 from pipeline.geometry.mesh_io import unit
@@ -29,6 +30,7 @@ CONE = 0.5  # smallest cosine between a triangle's evened normal and its chart's
 ROUNDS = 4  # of growing regions and moving their seeds
 FEWEST = 30  # triangles of a chart; smaller ones join a neighbour
 OVERLAP_GRID = 192  # texels along a side of the picture in which overlaps are looked for
+PAGE = 1024  # texels along a page on which no chart may overlap itself
 NEIGHBOURS = 3  # that a chart is tried to be joined with
 SQUEEZED = 0.25  # ratio below which no more than 2 % of a chart may be laid
 FOLD = 5e-3  # smallest ratio of a triangle's area laid flat to its true one
@@ -197,19 +199,46 @@ def _merged(
 
 def flattened(vertices: np.ndarray, faces: np.ndarray, chart: np.ndarray) -> list[FlatChart]:
     """Every chart laid flat: cut further where it overlaps itself, then joined with a neighbour
-    where the two lie flat together.
+    where the two lie flat together. What still overlaps itself on texels half as large as a page's
+    is cut once more.
     """
     order = np.argsort(chart, kind="stable")
-    waiting = np.split(order, np.cumsum(np.bincount(chart))[:-1])
+    groups = np.split(order, np.cumsum(np.bincount(chart))[:-1])
+    joined = _joined(vertices, faces, _laid_flat(vertices, faces, groups, OVERLAP_GRID))
+
+    texel = np.sqrt(face_normals(vertices, faces)[1].sum()) / PAGE
+    out = []
+    for one in joined:
+        corner = np.searchsorted(one.index, faces[one.members])
+        texels = 2 * float(np.ptp(one.uv, axis=0).max()) / max(texel, 1e-30)
+        grid = int(np.clip(texels, OVERLAP_GRID, 2 * PAGE))
+        if len(corner) == 1 or not _overlaps(one.uv, corner, grid):
+            out.append(one)
+        else:
+            out.extend(cut_again(vertices, faces, one))
+    return out
+
+
+def cut_again(vertices: np.ndarray, faces: np.ndarray, chart: FlatChart) -> list[FlatChart]:
+    """A chart in two or more, none of which overlaps itself on texels half as large as a page's."""
+    halves = _halves(vertices, faces[chart.members], chart.members)
+    return _laid_flat(vertices, faces, halves, 2 * PAGE)
+
+
+def _laid_flat(
+    vertices: np.ndarray, faces: np.ndarray, groups: list[np.ndarray], grid: int
+) -> list[FlatChart]:
+    """Groups of triangles laid flat, cut further where they overlap themselves on a grid."""
+    waiting = list(groups)
     out = []
     while waiting:
         members = waiting.pop()
-        flat = _flat(vertices, faces[members])
+        flat = _flat(vertices, faces[members], grid)
         if flat is not None:
             out.append(FlatChart(members, *flat))
         else:
             waiting.extend(_halves(vertices, faces[members], members))
-    return _joined(vertices, faces, out)
+    return out
 
 
 def _joined(vertices: np.ndarray, faces: np.ndarray, flat: list[FlatChart]) -> list[FlatChart]:
@@ -241,7 +270,9 @@ def _joined(vertices: np.ndarray, faces: np.ndarray, flat: list[FlatChart]) -> l
     return list(kept.values())
 
 
-def _flat(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def _flat(
+    vertices: np.ndarray, faces: np.ndarray, grid: int = OVERLAP_GRID
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Indices of a chart's vertices (k,) and their u, v (k, 2), scaled to the chart's true area;
     None where neither its projection nor the relaxed one lies flat without overlap.
     """
@@ -255,7 +286,9 @@ def _flat(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarr
     uv = (vertices[index] - vertices[index[0]]) @ np.stack([side, np.cross(axis, side)], -1)
     for rounds in (None, 0, 6, 30):
         attempt = uv if rounds is None else _relaxed(uv, corner, rounds)
-        if _lies_flat(attempt, corner, area):
+        if attempt is None:
+            return None
+        if _lies_flat(attempt, corner, area, grid):
             laid = _areas(attempt, corner).sum()
             return index, attempt * np.sqrt(area.sum() / max(laid, 1e-30))
     return None
@@ -267,22 +300,25 @@ def _areas(uv: np.ndarray, corner: np.ndarray) -> np.ndarray:
     return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
 
 
-def _lies_flat(uv: np.ndarray, corner: np.ndarray, area: np.ndarray) -> bool:
-    """Whether no triangle is folded over and the picture covers as much as its triangles do."""
+def _lies_flat(uv: np.ndarray, corner: np.ndarray, area: np.ndarray, grid: int) -> bool:
+    """Whether no triangle is folded over and none lies over another on a grid."""
     laid = _areas(uv, corner)
     laid *= area.sum() / max(laid.sum(), 1e-30)
     if (laid < FOLD * area).any() or area[laid < SQUEEZED * area].sum() > 0.02 * area.sum():
         return False
-    if len(corner) == 1:
-        return True
-    span = np.ptp(uv, axis=0).max()
-    count = rasterize((uv - uv.min(0)) / (1.001 * span), corner, OVERLAP_GRID)
-    return bool((count > 1).sum() <= 2e-3 * (count > 0).sum())
+    return len(corner) == 1 or not _overlaps(uv, corner, grid)
 
 
-def _relaxed(uv: np.ndarray, corner: np.ndarray, rounds: int) -> np.ndarray:
+def _overlaps(uv: np.ndarray, corner: np.ndarray, grid: int) -> bool:
+    """Whether two triangles cover the same cell's centre of grid x grid over the chart's box."""
+    span = max(float(np.ptp(uv, axis=0).max()), 1e-30)
+    return bool((rasterize((uv - uv.min(0)) / (1.001 * span), corner, grid) > 1).any())
+
+
+def _relaxed(uv: np.ndarray, corner: np.ndarray, rounds: int) -> np.ndarray | None:
     """u, v (k, 2) with every inner vertex in the middle of its neighbours, after each vertex of the
-    border has been moved half-way to its two neighbours' middle `rounds` times.
+    border has been moved half-way to its two neighbours' middle `rounds` times. None where a part
+    is closed: no border holds it, and its equations are singular.
     """
     count = len(uv)
     one = corner.ravel()
@@ -292,6 +328,9 @@ def _relaxed(uv: np.ndarray, corner: np.ndarray, rounds: int) -> np.ndarray:
     rim.eliminate_zeros()
     degree = np.asarray(rim.sum(1)).ravel()
     border = degree > 0
+    parts, part = connected_components(directed, directed=False)
+    if len(np.unique(part[border])) < parts:
+        return None
     uv = uv.copy()
     for _ in range(rounds):
         middle = (rim @ uv)[border] / degree[border, None]

@@ -137,8 +137,8 @@ class Photos:
     def at(cls, views: list[View], images: list[np.ndarray]) -> Photos:
         """The images resized to their views' size."""
         cameras = [[v.fx, v.fy, v.cx, v.cy, v.width, v.height] for v in views]
-        stack = np.zeros((len(views), max(v.height for v in views), max(v.width for v in views)))
-        stack = stack.astype(np.float32)
+        sides = max(v.height for v in views), max(v.width for v in views)
+        stack = np.zeros((len(views), *sides), np.float32)
         for k, (view, image) in enumerate(zip(views, images)):
             size = (view.width, view.height)
             stack[k, : view.height, : view.width] = cv2.resize(

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.config import Mesh as MeshSettings
-from pipeline.base.files import json_entry, read_json
-from pipeline.base.images import linear_to_srgb, luminance, read_exr, read_png, write_png
+from pipeline.base.files import read_json
+from pipeline.base.images import luminance, perceived, read_exr, read_png, write_png
 from pipeline.geometry.cameras import Rig, load_cameras
 from pipeline.geometry.mesh_io import Mesh, normal_wobble, save_mesh
+from pipeline.masks.facts import MaskFacts
 from pipeline.surface.bake import DENSE
 from pipeline.surface.clean import facts, simplify, to_mesh
 from pipeline.surface.depth import neighbours
@@ -26,10 +27,10 @@ NEIGHBOURS = 4  # photos that refinement compares each photo with
 
 
 def grey_photos(rig: Rig, poses: Path) -> list[np.ndarray]:
-    """All photos as grey (h, w) float32 in [0, 1], sRGB-encoded: matching sees what eyes see."""
-    return [
-        luminance(linear_to_srgb(read_exr(poses / v.image))).astype(np.float32) for v in rig.views
-    ]
+    """All photos as grey (h, w) float32, sRGB-encoded, white 1: matching sees what eyes see, and
+    above white what short exposures show.
+    """
+    return [luminance(perceived(read_exr(poses / v.image))).astype(np.float32) for v in rig.views]
 
 
 def reconstructed(
@@ -71,20 +72,21 @@ def make_mesh(
             "normal_error": 0.0,
         } | facts(mesh)
     else:
-        given = json_entry(masks_folder / "masks.json", "method") == "given"
-        dense, how = reconstructed(rig, poses, masks_folder, settings, given, threads)
+        given = MaskFacts.load(masks_folder).all_given
+        dense, how = reconstructed(rig.training(), poses, masks_folder, settings, given, threads)
         save_mesh(out / DENSE, dense)
         mesh, more = simplify(dense, settings.faces)
         metrics = how | more | {"normal_error": normal_wobble(mesh)}
     save_mesh(out / "mesh.ply", mesh)
     SurfaceFacts(metrics["normal_error"]).save(out)
     write_png(out / "preview.png", shaded(mesh))
-    kept = {v.name for v in rig.views}
+    kept = {v.name for v in rig.fit_views()}
     if metrics["method"] == "fused":
-        kept = set(json_entry(masks_folder / "masks.json", "given"))
+        kept = set(MaskFacts.load(masks_folder).given)
     metrics["mask_share_without_surface"] = surface_masks(
-        rig, masks_folder / "masks", mesh, out / "masks", kept
+        rig.training(), masks_folder / "masks", mesh, out / "masks", kept
     )
+    scoring_masks(rig, poses / "masks", mesh, out / "masks")
     return metrics
 
 
@@ -109,6 +111,17 @@ def surface_masks(rig: Rig, masks: Path, mesh: Mesh, out: Path, kept: set[str]) 
         total += mask.sum()
         write_png(out / f"{v.name}.png", (mask if v.name in kept else covered) * np.uint8(255))
     return float(missed / max(total, 1))
+
+
+def scoring_masks(rig: Rig, given: Path, mesh: Mesh, out: Path) -> None:
+    """Write the mask of each view that is kept for scoring: the user's, where `given` has one, else
+    the surface's silhouette.
+    """
+    covered_in = Silhouette(mesh)
+    for v in rig.test_views():
+        file = given / f"{v.name}.png"
+        mask = read_png(file) > 127 if file.exists() else covered_in(v)
+        write_png(out / f"{v.name}.png", mask * np.uint8(255))
 
 
 def warnings_of(rig: Rig, masks: dict) -> list[str]:

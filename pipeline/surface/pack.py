@@ -1,60 +1,162 @@
-"""Packing flat charts into one square, texel by texel.
+"""Packing flat charts into one square with xatlas.
 
-Charts are placed one after the other, largest first, each in one of four turns at the lowest free
-place; the scale is the largest at which all find one. A chart is a set of horizontal runs of
-texels, padding included; where a run meets a taken texel, the search jumps past it.
+xatlas places chart after chart, largest first, where the page that holds all so far stays smallest
+and most square. It does not turn charts here: its own turn swaps u and v, which mirrors. So the
+quarter turns are sought around it: on a coarse page many turns of all charts are tried, each kept
+where the page becomes smaller, and the best is packed on the page itself.
+
+Three properties of xatlas are minded: it leaves out triangles below 1.2e-7 in area, in whatever
+unit, and lays other charts over them, so it gets coordinates in texels; it dilates every chart by
+the padding, so it gets half of it; it shrinks a chart that is wider than a given page, so it gets
+no page and says how large its own became.
 """
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 
 from pipeline.base.errors import InputError
 
-TRIES = 6  # of the scale
-DENSEST = 0.85  # share of the square that charts cover in the first try
+Chart = tuple[np.ndarray, np.ndarray]  # coordinates (k, 2) and triangles (m, 3)
+
+COARSE = 512  # texels along the page on which turns are sought
+DENSITY = 0.6  # share of the page that charts are taken to cover at first
+MOST_TRIES = 48  # of turns
+WORK = 4000  # charts times tries: with many charts, how each lies matters less
+RANDOM = 1 / 3  # share of the tries in which every chart is turned, not a few of the best try's
+CHANGED = 0.2  # share of the charts that the other tries turn
+FITS = 12  # tries of the scale on the page itself at most
+LEAST = 0.1  # of the scale that the charts' area asks for: below, they are taken not to fit
+ENOUGH = 0.995  # of the page's side: closer is not sought
+LEFT_OUT = 2**32 - 1  # xatlas's chart of a vertex all of whose triangles it leaves out
 
 
-def packed(
-    charts: list[tuple[np.ndarray, np.ndarray]], resolution: int, padding: int
-) -> list[np.ndarray]:
-    """The charts' coordinates (k, 2) in [0, 1]^2, no two nearer than `padding` texels.
+def packed(charts: list[Chart], resolution: int, padding: int) -> list[np.ndarray]:
+    """The charts' coordinates (k, 2) in [0, 1]^2, no two nearer than `padding` texels, and as many
+    between two at opposite edges of the square. None is mirrored and all have one scale.
 
     charts: each the coordinates (k, 2) and triangles (m, 3) of one chart, all in one unit. Raises
-    InputError where they do not fit even at a tenth of the scale that their area asks for.
+    InputError where they do not fit.
     """
-    boxed = [_upright(uv) for uv, _ in charts]
-    area = sum(_area(uv, corner) for uv, (_, corner) in zip(boxed, charts))
-    most = (DENSEST * resolution**2 / area) ** 0.5
-    low = 0.1 * most
-    best = _placed(boxed, charts, low, resolution, padding)
+    half = (padding + 1) // 2
+    inner = resolution - 2 * half
+    boxed = [upright(uv) for uv, _ in charts]
+    corners = [corner for _, corner in charts]
+    turns, scale = _best_turns(boxed, corners, inner, half / resolution)
+    lying = [turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
+
+    best = None
+    area = sum(chart_area(*chart) for chart in charts)
+    least = LEAST * (resolution**2 / area) ** 0.5
+    for _ in range(FITS):
+        if scale < least:
+            break
+        placed, side = _placed([scale * uv for uv in lying], corners, half)
+        if side <= inner:
+            best = placed
+        if ENOUGH * inner <= side <= inner or (best is not None and side > inner):
+            break
+        scale *= 0.999 * inner / side
     if best is None:
         raise InputError(
             f"{len(charts)} charts do not fit into {resolution} x {resolution} texels",
             "atlas",
             "raise atlas.resolution, or lower mesh.faces or atlas.padding",
         )
-    high = most
-    for _ in range(TRIES):
-        scale = (low * high) ** 0.5 if low < 0.5 * most else 0.5 * (low + high)
-        found = _placed(boxed, charts, scale, resolution, padding)
-        if found is None:
-            high = scale
-        else:
-            low = scale
-            best = found
-    return best
+    return [(uv + half) / resolution for uv in best]
 
 
-def _area(uv: np.ndarray, corner: np.ndarray) -> float:
+def _best_turns(
+    boxed: list[np.ndarray], corners: list[np.ndarray], inner: int, margin: float
+) -> tuple[np.ndarray, float]:
+    """Quarter turns of every chart (c,) with which the page is smallest, and the scale in texels
+    per unit at which its side is `inner`. margin: texels around a chart, as share of the page.
+    """
+    coarse = min(COARSE, inner)
+    half = int(np.ceil(margin * coarse))
+    area = sum(chart_area(uv, corner) for uv, corner in zip(boxed, corners))
+    scale = (DENSITY * coarse**2 / area) ** 0.5
+    tries = int(np.clip(WORK / len(boxed), 4, MOST_TRIES))
+    generator = np.random.default_rng(0)
+
+    best = np.array([int(np.ptp(uv[:, 0]) < np.ptp(uv[:, 1])) for uv in boxed])
+    least = np.inf
+    turns = best
+    for k in range(tries):
+        scaled = [scale * turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
+        side = _placed(scaled, corners, half)[1]
+        if side <= least:
+            best = turns
+            least = side
+        any_turns = generator.integers(0, 4, len(boxed))
+        changed = generator.random(len(boxed)) < CHANGED
+        changed[generator.integers(len(boxed))] = True
+        turns = any_turns if k < RANDOM * tries else np.where(changed, any_turns, best)
+    return best, scale * inner / least
+
+
+def _placed(
+    scaled: list[np.ndarray], corners: list[np.ndarray], half: int
+) -> tuple[list[np.ndarray], int]:
+    """Charts in texels as xatlas places them, no two nearer than 2 half texels, and the longer side
+    of the page that they take.
+    """
+    import xatlas
+
+    first = np.cumsum([0] + [len(uv) for uv in scaled])
+    faces = np.concatenate([start + corner for start, corner in zip(first, corners)])
+    number = np.repeat(np.arange(len(corners)), [len(corner) for corner in corners])
+    atlas = xatlas.Atlas()
+    atlas.add_uv_mesh(
+        np.concatenate(scaled).astype(np.float32),
+        faces.astype(np.uint32),
+        number[:, None].astype(np.uint32),  # as materials: what keeps charts apart
+    )
+    options = xatlas.PackOptions()
+    options.resolution = 0
+    options.texels_per_unit = 1.0
+    options.padding = half
+    options.bilinear = False
+    options.blockAlign = False
+    options.bruteForce = True
+    options.rotate_charts = False
+    options.rotate_charts_to_axis = False
+    atlas.generate(xatlas.ChartOptions(), options)
+
+    index, _, uv = atlas.get_mesh(0)
+    placed = np.full((first[-1], 2), np.nan)
+    known = atlas.get_mesh_vertex_assignment(0)[1] != LEFT_OUT
+    placed[index[known]] = (uv * [atlas.width, atlas.height])[known]
+    moved = [_moved(uv, to) for uv, to in zip(scaled, np.split(placed, first[1:-1]))]
+    return moved, max(atlas.width, atlas.height)
+
+
+def _moved(uv: np.ndarray, placed: np.ndarray) -> np.ndarray:
+    """A chart's coordinates (k, 2) moved as xatlas moved those of its vertices that it placed (the
+    others are NaN): along either axis scaled to whole texels, and shifted. A chart of which it
+    placed none covers no texel, wherever it lies.
+    """
+    known = np.flatnonzero(np.isfinite(placed[:, 0]))
+    if not len(known):
+        return uv - uv.min(0)
+    out = np.empty_like(uv)
+    for axis in range(2):
+        line = uv[known, axis]
+        low, high = known[np.argmin(line)], known[np.argmax(line)]
+        stretch = np.ptp(placed[[low, high], axis]) / max(np.ptp(line), 1e-12)
+        out[:, axis] = placed[low, axis] + stretch * (uv[:, axis] - uv[low, axis])
+    return out
+
+
+def chart_area(uv: np.ndarray, corner: np.ndarray) -> float:
+    """The area of a chart's triangles."""
     a, b, c = (uv[corner[:, k]] for k in range(3))
     cross = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     return float(0.5 * np.abs(cross).sum())
 
 
-def _upright(uv: np.ndarray) -> np.ndarray:
+def upright(uv: np.ndarray) -> np.ndarray:
     """The chart turned so that its bounding box is smallest."""
     _, _, degrees = cv2.minAreaRect(uv.astype(np.float32))
     angle = np.radians(degrees)
@@ -62,94 +164,8 @@ def _upright(uv: np.ndarray) -> np.ndarray:
     return uv @ turn
 
 
-def _placed(
-    boxed: list[np.ndarray],
-    charts: list[tuple[np.ndarray, np.ndarray]],
-    scale: float,
-    resolution: int,
-    padding: int,
-) -> list[np.ndarray] | None:
-    """All charts at `scale` texels per unit, or None where one finds no place."""
-    margin = (padding + 1) // 2 + 1
-    order = sorted(range(len(boxed)), key=lambda k: -float(np.ptp(boxed[k], axis=0).sum()))
-    taken = np.full((resolution, resolution), resolution, np.int32)
-    out: list[np.ndarray] = [np.empty(0)] * len(boxed)
-    for k in order:
-        low = (resolution + 1, 0, 0)
-        for turn in range(4):
-            uv = scale * _turned(boxed[k], turn)
-            uv = uv - uv.min(0) + margin
-            runs, height, width = _runs(uv, charts[k][1], margin)
-            row, column = _lowest(taken, runs, height, width, low[0])
-            if row >= 0 and row + height < low[0]:
-                low = (row + height, row, column)
-                chosen = (uv, runs)
-        if low[0] > resolution:
-            return None
-        uv, runs = chosen
-        _take(taken, runs, low[1], low[2])
-        out[k] = (uv + [low[2], low[1]]) / resolution
-    return out
-
-
-def _turned(uv: np.ndarray, quarters: int) -> np.ndarray:
+def turned(uv: np.ndarray, quarters: int) -> np.ndarray:
     """u, v turned by quarters of a circle."""
     for _ in range(quarters):
         uv = np.stack([-uv[:, 1], uv[:, 0]], -1)
     return uv
-
-
-def _runs(uv: np.ndarray, corner: np.ndarray, margin: int) -> tuple[np.ndarray, int, int]:
-    """Runs (r, 3) of (row, first column, column after the last) that the chart and `margin` texels
-    around it take, by rows; height and width of all.
-    """
-    width, height = (int(side) + 1 for side in np.ceil(uv.max(0)) + margin)
-    picture = np.zeros((height, width), np.uint8)
-    at = np.round(uv * 16).astype(np.int32)  # of a sixteenth of a texel
-    for triangle in at[corner] - 8:
-        cv2.fillConvexPoly(picture, triangle, 1, lineType=cv2.LINE_8, shift=4)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin - 1,) * 2)
-    padded = cv2.dilate(picture, kernel)
-    step = np.diff(padded.astype(np.int8), axis=1, prepend=0, append=0)
-    rows, first = np.nonzero(step == 1)
-    _, after = np.nonzero(step == -1)
-    return np.stack([rows, first, after], -1).astype(np.int32), height, width
-
-
-@njit(cache=False)
-def _lowest(
-    taken: np.ndarray, runs: np.ndarray, height: int, width: int, below: int
-) -> tuple[int, int]:
-    """Row and column of the lowest free place, leftmost of these; (-1, -1) where there is none that
-    ends before row `below`. taken (n, n): column of the next taken texel at or after each.
-    """
-    size = len(taken)
-    for row in range(min(size - height, below - 1 - height) + 1):
-        column = 0
-        while column + width <= size:
-            jump = 0
-            for r in range(len(runs)):
-                start = column + runs[r, 1]
-                next_taken = taken[row + runs[r, 0], start]
-                if next_taken < column + runs[r, 2]:
-                    jump = next_taken + 1 - start
-                    break
-            if jump == 0:
-                return row, column
-            column += jump
-    return -1, -1
-
-
-@njit(cache=False)
-def _take(taken: np.ndarray, runs: np.ndarray, row: int, column: int) -> None:
-    """Mark the runs as taken."""
-    for r in range(len(runs)):
-        line = taken[row + runs[r, 0]]
-        first = column + runs[r, 1]
-        after = column + runs[r, 2]
-        for k in range(first, after):
-            line[k] = k
-        k = first - 1
-        while k >= 0 and line[k] > first:
-            line[k] = first
-            k -= 1

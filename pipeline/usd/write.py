@@ -12,6 +12,7 @@ import contextlib
 import os
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -136,7 +137,17 @@ def _earlier_export(folder: Path) -> None:
         )
 
 
-def build(folder: Path, scene: str, surface: Path, samples: list[Path], facts: dict) -> None:
+def in_unit(sample: Path, white: float) -> Explanation:
+    """The explanation in a folder with its light in the photos' unit, in which `white` is what its
+    1 stands for.
+    """
+    x = Explanation.load(sample)
+    return replace(x, light=x.light * np.float32(white))
+
+
+def build(
+    folder: Path, scene: str, surface: Path, samples: list[Path], facts: dict, white: float
+) -> None:
     """Write <scene>.usda and <scene>/ into `folder`; surface: the mesh with its atlas, beside which
     the normal map lies. RuntimeError when a file does not pass the validators.
     """
@@ -151,7 +162,7 @@ def build(folder: Path, scene: str, surface: Path, samples: list[Path], facts: d
         normal = f"{scene}/{normal_map.name}"
 
     assets = [
-        write_textures(Explanation.load(s), inside / f"sample_{k}", f"{scene}/sample_{k}", normal)
+        write_textures(in_unit(s, white), inside / f"sample_{k}", f"{scene}/sample_{k}", normal)
         for k, s in enumerate(samples)
     ]
     for k, asset in enumerate(assets):
@@ -201,16 +212,18 @@ def publish(folder: Path, out: Path) -> None:
     manifest.sync(out.parent)
 
 
-def export(atlas: Path, samples: list[Path], out: Path, facts: dict) -> dict:
+def export(atlas: Path, samples: list[Path], out: Path, facts: dict, white: float = 1.0) -> dict:
     """Write `out` (exports/<scene>.usda), its folder and a .usdz of sample 0; an export that fails
     leaves the old one alone.
 
-    samples: folders with light.exr, base_color.exr, roughness.exr, metallic.exr. Raises InputError
-    when exports/ cannot be written, RuntimeError when an export does not pass the USD validators.
+    samples: folders with light.exr, base_color.exr, roughness.exr, metallic.exr; white: the
+    radiance in the photos' unit that 1 stands for in them (`pipeline.photos.radiance`). Raises
+    InputError when exports/ cannot be written, RuntimeError when an export does not pass the USD
+    validators.
     """
     surface = atlas / "mesh_uv.ply"
     with staging(out) as folder:
-        build(folder, out.stem, surface, samples, facts | {"samples": len(samples)})
+        build(folder, out.stem, surface, samples, facts | {"samples": len(samples)}, white)
         unpacked = package(folder, out.stem)
         publish(folder, out)
 

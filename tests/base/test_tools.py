@@ -1,5 +1,6 @@
 """Small shared tools: whole files, progress, metrics, doctor."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from pipeline.base.files import atomic_path, read_json, stage_folder, write_json
 from pipeline.base.progress import progress
 from pipeline.base.runtime import set_threads
 from pipeline.render.metrics import light_psnr, psnr
+from tests.seeds import numpy_rng
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -177,7 +179,7 @@ def test_psnr_of_known_errors():
 
 
 def test_psnr_of_two_noisy_renders_is_that_of_the_picture_without_noise():
-    rng, photo = np.random.default_rng(0), np.full((100, 100, 3), 0.3)
+    rng, photo = numpy_rng(0), np.full((100, 100, 3), 0.3)
     shown = 1.2 * photo
     noisy = lambda: shown + rng.normal(scale=0.025, size=shown.shape)
     a, b = noisy(), noisy()
@@ -188,7 +190,7 @@ def test_psnr_of_two_noisy_renders_is_that_of_the_picture_without_noise():
 
 
 def test_light_psnr_ignores_one_scale():
-    env = np.random.default_rng(0).uniform(0.1, 2, (8, 16, 3))
+    env = numpy_rng(0).uniform(0.1, 2, (8, 16, 3))
     assert light_psnr(env, 3 * env) > 80 > light_psnr(env, env[::-1])
 
 
@@ -206,6 +208,28 @@ def test_doctor_renders(monkeypatch):
     assert doctor.versions() == [
         (False, "no-such-package is missing: pip install --no-deps -r requirements.lock")
     ]
+
+
+def test_threads_are_obeyed_by_libraries_that_are_loaded_later():
+    code = """
+from pipeline.base.runtime import set_threads
+set_threads(1)
+import cv2, drjit, numba, numpy, torch
+from threadpoolctl import threadpool_info
+from pipeline.base.runtime import mitsuba
+print(cv2.getNumThreads(), drjit.thread_count(), numba.get_num_threads(), torch.get_num_threads())
+print(*[pool["num_threads"] for pool in threadpool_info()])
+"""
+    unset = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    ran = subprocess.run(
+        [sys.executable, "-c", code],
+        text=True,
+        capture_output=True,
+        check=True,
+        cwd=ROOT,
+        env=unset | {"PYTHONPATH": str(ROOT)},
+    )
+    assert set(ran.stdout.split()) == {"1"}
 
 
 def test_threads_reach_a_blas_that_is_loaded():

@@ -19,7 +19,7 @@ def all_end_well(group: str, tmp_path: Path) -> None:
     out = tmp_path / "rows.json"
     words = ["--only", f"{group}: ", "--out", str(out), "--keep", str(tmp_path / "projects")]
     command = [sys.executable, "-m", "benchmarks.corpus", *words]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-2000:]
     rows = json.loads(out.read_text())["rows"]
     assert rows and all(row["right"] for row in rows)
@@ -48,7 +48,7 @@ def test_mutated_files_end_well(tmp_path):
     """A few seeds; `python -m benchmarks.corpus.fuzz` tries more."""
     out = tmp_path / "fuzz.json"
     command = [sys.executable, "-m", "benchmarks.corpus.fuzz", "--tries", "12", "--out", str(out)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     found = json.loads(out.read_text())
     assert found["tries"] == 12 and not found["finds"], found["finds"]

@@ -4,12 +4,12 @@ fault: tests/dag.
 
 import json
 
-import numpy as np
 import pytest
 
 from benchmarks.faults import cases
 from benchmarks.faults.__main__ import all_cases
 from benchmarks.faults.chain import Chain
+from tests.seeds import numpy_rng
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_a_damaged_file_is_shorter_and_as_old_as_before(chain, tmp_path):
     start = cases.Start(chain, chain, 1.0)
     hit = set()
     for number in range(12):
-        random = np.random.default_rng(number)
+        random = numpy_rng(number)
         copy, happened = cases.damage(start, tmp_path / str(number), random)
         before, after = chain.sums(), copy.sums()
         changed = [name for name in before if before[name] != after[name]]

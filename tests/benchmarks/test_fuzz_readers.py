@@ -20,6 +20,7 @@ from benchmarks.corpus.readers import Reader, Seed, photo_seeds, read_config
 from pipeline.base.config import Scene, parse_scene
 from pipeline.base.errors import InputError
 from pipeline.photos.transforms_file import Transforms, read_transforms_file
+from tests.seeds import numpy_rng
 
 RENDERED = ("PLY", "OBJ")  # load the renderer, or Open3D for every file: tests/heavy
 
@@ -140,6 +141,6 @@ def test_any_json_is_a_file_of_cameras_or_refused(tmp_path_factory, own):
 
 
 def test_bytes_that_are_no_configuration_are_refused(tmp_path):
-    (tmp_path / "s.yaml").write_bytes(np.random.default_rng(0).bytes(200))
+    (tmp_path / "s.yaml").write_bytes(numpy_rng(0).bytes(200))
     with pytest.raises(InputError, match="s.yaml"):
         read_config(tmp_path)

@@ -12,6 +12,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.images import linear_to_srgb, write_png
 from pipeline.geometry.cameras import Y_FROM_Z_UP, Rig, save_cameras
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh, unit
+from tests.seeds import numpy_rng
 
 HERE = Similarity(1.0, np.eye(3), np.zeros(3))
 
@@ -33,7 +34,7 @@ def round_ball(ball):
 
 
 def test_a_similarity_is_found_again():
-    points = np.random.default_rng(0).normal(size=(50, 3))
+    points = numpy_rng(0).normal(size=(50, 3))
     made = Similarity(1.7, turn(30, 0) @ turn(-50, 1), np.array([1.0, -2.0, 0.5]))
     found = umeyama(points, made.points(points))
     np.testing.assert_allclose(found.points(points), made.points(points), atol=1e-12)
@@ -46,7 +47,7 @@ def test_a_similarity_is_found_again():
 
 
 def test_icp_undoes_a_small_motion():
-    points = np.random.default_rng(0).random((400, 3)) * [1, 2, 3]
+    points = numpy_rng(0).random((400, 3)) * [1, 2, 3]
     moved = Similarity(1.0, turn(1.0), np.array([0.01, 0.0, -0.01])).points(points)
     motion = icp(moved, points, limit=0.2)
     np.testing.assert_allclose(motion.points(moved), points, atol=1e-6)
@@ -131,7 +132,7 @@ def test_pictures_of_normals(tmp_path, ball, ring):
 
 
 def test_a_mesh_far_from_the_truth_is_refused():
-    points = np.random.default_rng(0).random((50, 3))
+    points = numpy_rng(0).random((50, 3))
     with pytest.raises(InputError, match="not near"):
         icp(points + 5, points, limit=0.1)
 

@@ -32,13 +32,14 @@ from pipeline.base.files import write_json
 from pipeline.base.images import read_exr, read_png, to_srgb8, write_exr, write_png
 from pipeline.geometry.mesh_io import load_mesh, save_mesh
 from pipeline.render.envmap import directions, solid_angles
+from tests.seeds import numpy_rng
 
 SPOILERS = {name: knob for name, knob in KNOBS.items() if knob.spoil is not None}
 
 
 @pytest.fixture
 def rng():
-    return np.random.default_rng(3)
+    return numpy_rng(3)
 
 
 @pytest.fixture(scope="module")

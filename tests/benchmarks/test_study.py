@@ -16,6 +16,7 @@ from benchmarks.study.tables import coverage_error, levels, mean_of, printed, sc
 from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
 from pipeline.render.declared import METRICS
+from tests.seeds import numpy_rng
 
 
 def rows_of(method: str, level: float, cost: float, scenes=("a", "b"), seeds=(0, 1)) -> list[dict]:
@@ -73,7 +74,7 @@ def test_views_are_paired_by_name():
 
 
 def test_bootstrap_interval_holds_the_mean_as_often_as_it_says():
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     common = 5 * rng.normal(size=(200, 40))  # what both methods share drops out
     ours = common + rng.normal(size=common.shape)
     theirs = common + 0.5 + rng.normal(size=common.shape)
@@ -179,7 +180,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
 
 
 def test_pictures_have_a_row_for_the_truth_and_each_method(tmp_path):
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     cells = [(rng.random((8, 16, 3)), "1.0 dB"), (rng.random((8, 8, 3)), "2.0 dB")]
     sizes = []
     for run, count in (("one", 2), ("two", 2), ("three", 3)):

@@ -12,6 +12,7 @@ from pipeline.base.images import linear_to_srgb, srgb_to_linear, write_exr, writ
 from pipeline.geometry.cameras import Rig, save_cameras
 from pipeline.posterior.textures import gather
 from pipeline.render.observe import Tracer
+from tests.seeds import numpy_rng
 
 SIZE = 48  # of the photos
 TEXELS = 64
@@ -26,7 +27,7 @@ def painted(uv):
 @pytest.fixture
 def scattered():
     """Pixels all over the texture, showing `painted`."""
-    uv = np.random.default_rng(0).random((60_000, 2)).astype(np.float32)
+    uv = numpy_rng(0).random((60_000, 2)).astype(np.float32)
     return PhotoPixels(uv, painted(uv).astype(np.float32), np.ones(len(uv), np.float32))
 
 
@@ -38,7 +39,7 @@ def test_the_texture_is_what_pixels_show(scattered):
 
 
 def test_a_minority_of_wrong_pixels_is_forgotten(scattered):
-    wrong = np.random.default_rng(1).random(len(scattered.uv)) < 0.2
+    wrong = numpy_rng(1).random(len(scattered.uv)) < 0.2
     scattered.color[wrong] = 1
     texture, _ = bake(scattered, TEXELS)
     error = np.abs(gather(texture, scattered.uv) - painted(scattered.uv)).mean()

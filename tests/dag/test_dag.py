@@ -2,7 +2,7 @@
 re-running it does.
 
 The tests share one project and follow each other: each leaves it as it found it, up to
-`test_a_failed_stage_is_due_again`, from where on the scene ODD is not up to date.
+`test_a_file_that_has_lost_its_end_is_made_again`, from where on the scene ODD is not up to date.
 """
 
 import json
@@ -12,22 +12,25 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.base.images import read_exr, to_srgb8
+from pipeline.base.images import read_exr, read_png, to_srgb8
 from pipeline.geometry.cameras import Y_FROM_Z_UP, View
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh
 from pipeline.prior.training.procedural import outdoor
 from pipeline.prior.value_code import scale_of
-from pipeline.render.metrics import render_view
+from pipeline.render.metrics import psnr, render_view
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.run.workflow import WAITS
 from pipeline.usd.check import check
 from tests.conftest import look_at
+from tests.seeds import numpy_rng, seeded
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = """
@@ -35,10 +38,15 @@ photos: "{photos}"
 preset: draft
 samples: {samples}
 atlas: {{resolution: 64, padding: 1}}
-observe: {{pixels: 3000}}
+observe: {{seed: {seed}, pixels: 3000}}
 render: {{max_depth: 3}}
-fit: {{steps: 20, learning_rate: 0.05, pixels: 400, spp: 2, texture: 16}}
-sample: {{prior: prior.safetensors, search_prior: search.safetensors, light: 16, texture: 16}}
+fit: {{seed: {seed}, steps: 20, learning_rate: 0.05, pixels: 400, spp: 2, texture: 16}}
+sample:
+  seed: {seed}
+  prior: prior.safetensors
+  search_prior: search.safetensors
+  light: 16
+  texture: 16
 refine: {{steps: 4, pixels: 300, spp: 2, texture: 48}}
 report: {{relight_size: 48, spp: 4}}
 """
@@ -48,6 +56,7 @@ CHOOSING = "choose: {enabled: true, texture: auto, bounces: auto, light: auto, m
 ODD = "it's $(touch hacked) b"
 CHAIN = {"capture", "poses", "masks", "mesh", "atlas", "observe"}
 CHAIN |= {"choose", "fit", "sample", "refine"}
+MOST_STEPS = 100_000  # of a fit: minutes on any machine, and it is killed long before
 DRAWS = {"sample", "refine", "export", "report"}
 
 
@@ -91,11 +100,11 @@ def project(tmp_path_factory, ball) -> Path:
     (scene / "masks").mkdir()
     (folder / "configs").mkdir()
     for name, samples, more in (("toy", 2, ""), (ODD, 1, CHOOSING)):
-        text = TINY.format(photos=scene.name, samples=samples) + more
+        text = TINY.format(photos=scene.name, samples=samples, seed=seeded(0)) + more
         (folder / "configs" / f"{name}.yaml").write_text(text, encoding="utf-8")
     shutil.copy(ROOT / "weights" / "prior_tiny.safetensors", folder / "prior.safetensors")
     shutil.copy(ROOT / "weights" / "gaussian_tiny.safetensors", folder / "search.safetensors")
-    light = outdoor(np.random.default_rng(4), 32, 64).astype(np.float32)
+    light = outdoor(numpy_rng(4), 32, 64).astype(np.float32)
     color = np.full((16, 16, 3), 0.5, np.float32)
     color[:8] = [0.6, 0.2, 0.1]
     truth = Explanation(
@@ -108,7 +117,9 @@ def project(tmp_path_factory, ball) -> Path:
     for k in range(9):
         a = 2 * np.pi * k / 9
         pose = look_at([2.2 * np.sin(a), 0.6 * (k % 3), 2.2 * np.cos(a)])
-        picture = render_view(renderer, truth, View("v", "", 48, 48, 80, 80, 24, 24, pose), 32)
+        picture = render_view(
+            renderer, truth, View("v", "", 48, 48, 80, 80, 24, 24, pose), 32, seeded(k)
+        )
         alpha = (picture.max(-1) > 0) * np.uint8(255)
         Image.fromarray(np.dstack([to_srgb8(picture), alpha])).save(
             scene / "images" / f"Bild {k}.png"
@@ -141,8 +152,15 @@ def files_in(folder: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() for p in folder.iterdir()}
 
 
+def psnr_of_one_colour(work: Path) -> float:
+    """Of the held-out photo's own mean colour all over the object."""
+    (name,) = json.loads((work / "observe/observe.json").read_text())["held_out"]
+    photo = read_exr(work / f"capture/images/{name}.exr")
+    mask = read_png(work / f"mesh/masks/{name}.png") > 127
+    return psnr(np.broadcast_to(photo[mask].mean(0), photo.shape), photo, mask)
+
+
 def test_whole_chain_of_two_scenes_at_once(project, tmp_path):
-    start = time.time()
     logs = {scene: tmp_path / f"{k}.log" for k, scene in enumerate(("toy", ODD))}
     running = [
         subprocess.Popen(
@@ -154,8 +172,7 @@ def test_whole_chain_of_two_scenes_at_once(project, tmp_path):
         for scene, log in logs.items()
     ]
     for process, log in zip(running, logs.values(), strict=True):
-        assert process.wait(timeout=300) == 0, log.read_text()[-3000:]
-    print(f"two toy scenes through the DAG: {time.time() - start:.0f} s")
+        assert process.wait() == 0, log.read_text()[-3000:]
 
     for scene in logs:
         assert check(project / "exports" / f"{scene}.usda") == []
@@ -163,7 +180,9 @@ def test_whole_chain_of_two_scenes_at_once(project, tmp_path):
         assert report.count("data:image/") > 12
         assert "http://" not in report and "https://" not in report
         refined = json.loads((project / f"work/{scene}/refine/0/refine.json").read_text())
-        assert refined["held_out_psnr"] > 23
+        # at most half the squared error of a picture of one colour, which scores 10 dB less than
+        # these short chains do
+        assert refined["held_out_psnr"] > psnr_of_one_colour(project / "work" / scene) + 3
     assert not list(project.rglob(".partial-*"))
     assert not list(project.rglob("hacked")) and not (ROOT / "hacked").exists()
 
@@ -302,6 +321,21 @@ def test_sample_alone_equals_sample_among_others(project, tmp_path):
         ).read_bytes()
 
 
+def test_a_file_that_has_lost_its_end_is_made_again(project):
+    """With its time kept, as after a power cut: nothing else tells."""
+    target = f"work/{ODD}/refine/0/refine.json"
+    file = project / "work" / ODD / "refine/0/roughness.exr"
+    whole, at = file.read_bytes(), file.stat().st_mtime_ns
+    os.truncate(file, len(whole) // 2)
+    os.utime(file, ns=(at, at))
+    assert jobs(project, f"exports/{ODD}.usda") == {"refine", "export"}
+
+    done = snakemake(project, target)
+    assert done.returncode == 0 and "refine_0 is made again" in done.stderr, done.stderr[-3000:]
+    assert len(file.read_bytes()) == len(whole)
+    assert jobs(project, target) == set()
+
+
 def test_a_failed_stage_is_due_again(project):
     """Its old result and all made from it stay in place, but do not pass for up to date."""
     work, more = project / "work" / ODD, ("--config", "fit={steps: 9}")
@@ -321,63 +355,53 @@ def test_a_killed_run_continues(project, tmp_path):
     next run waits for the stage that was left behind, and when that is killed too, finishes the
     work. Before, the scene was refused to a second run.
     """
-    work, target = project / "work" / ODD, f"exports/{ODD}.usda"
+    work, target = project / "work" / ODD, f"work/{ODD}/fit/fit.json"
     before = files_in(work / "fit")
-    running = subprocess.Popen(
-        command(project, target, "--config", "fit={steps: 20000}"),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        **surroundings(project),
-    )
-    wait_for(lambda: (work / ".partial-fit").exists())
-
-    refused = snakemake(project, target)
-    words = refused.stdout + refused.stderr
-    assert refused.returncode != 0 and "another run is at work on this scene" in words
-    assert "Traceback" not in words
-    assert "fit" in jobs(project, target, "--config", "fit={steps: 7}")  # a plan is none
-
-    os.kill(running.pid, signal.SIGKILL)
-    running.wait()
     log = tmp_path / "next.log"
-    following = subprocess.Popen(
-        command(project, target, "--config", "fit={steps: 8}"),
-        stdout=log.open("w"),
-        stderr=subprocess.STDOUT,
-        **surroundings(project),
-    )
-    wait_for(lambda: WAITS in log.read_text())
-    assert files_in(work / "fit") == before and following.poll() is None
+    endless = ("--config", f"fit={{steps: {MOST_STEPS}}}")
+    with left_behind(command(project, target, *endless), project) as running:
+        wait_for(lambda: (work / ".partial-fit").exists(), running)
 
-    os.killpg(running.pid, signal.SIGKILL)
-    assert following.wait(timeout=120) == 0, log.read_text()[-3000:]
-    assert check(project / target) == [] and not (work / ".partial-fit").exists()
-    assert files_in(work / "fit") != before
-    assert jobs(project, target, "--config", "fit={steps: 8}") == set()
+        refused = snakemake(project, target)
+        words = refused.stdout + refused.stderr
+        assert refused.returncode != 0 and "another run is at work on this scene" in words
+        assert "Traceback" not in words
+        assert "fit" in jobs(project, target, "--config", "fit={steps: 7}")  # a plan is none
+
+        os.kill(running.pid, signal.SIGKILL)
+        running.wait()
+        following = subprocess.Popen(
+            command(project, target, "--config", "fit={steps: 8}"),
+            stdout=log.open("w"),
+            stderr=subprocess.STDOUT,
+            **surroundings(project),
+        )
+        wait_for(lambda: WAITS in log.read_text(), following)
+        assert files_in(work / "fit") == before and following.poll() is None
+
+    assert following.wait() == 0, log.read_text()[-3000:]
+    assert files_in(work / "fit") != before and not (work / ".partial-fit").exists()
+    later = jobs(project, f"exports/{ODD}.usda", "--config", "fit={steps: 8}")
+    assert later == {"sample", "refine", "export"}
 
 
-def wait_for(happened) -> None:
-    """Until `happened()`, two minutes at most."""
-    deadline = time.time() + 120
-    while not happened() and time.time() < deadline:
-        time.sleep(0.2)
-    assert happened()
+@contextmanager
+def left_behind(words: list[str], folder: Path) -> Iterator[subprocess.Popen]:
+    """A run of these words in a process group of its own, all of which is killed at the end."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    running = subprocess.Popen(words, start_new_session=True, **quiet, **surroundings(folder))
+    try:
+        yield running
+    finally:
+        os.killpg(running.pid, signal.SIGKILL)
+        running.wait()
 
 
-def test_a_file_that_has_lost_its_end_is_made_again(project):
-    """With its time kept, as after a power cut: nothing else tells."""
-    file, target = project / "work" / ODD / "refine/0/roughness.exr", f"exports/{ODD}.usda"
-    more = ("--config", "fit={steps: 8}")
-    whole, at = file.read_bytes(), file.stat().st_mtime_ns
-    os.truncate(file, len(whole) // 2)
-    os.utime(file, ns=(at, at))
-    assert jobs(project, target, *more) == {"refine", "export"}
-
-    done = snakemake(project, target, *more)
-    assert done.returncode == 0 and "refine_0 is made again" in done.stderr, done.stderr[-3000:]
-    assert len(file.read_bytes()) == len(whole)
-    assert jobs(project, target, *more) == set()
+def wait_for(happened, running: subprocess.Popen) -> None:
+    """Until `happened()`; a run that ends before has failed."""
+    while not happened():
+        assert running.poll() is None or happened()
+        time.sleep(0.1)
 
 
 @pytest.mark.parametrize("name", ["-rf", "a{b}"])

@@ -5,6 +5,7 @@ import pytest
 
 from pipeline.base.images import write_exr
 from pipeline.geometry.cameras import Rig, save_cameras
+from tests.seeds import numpy_rng
 
 GROUND = -0.45
 PAINTS = {
@@ -49,7 +50,7 @@ def make_table(tmp_path, ring):
     """make(balls, blank=False) -> folder like the poses stage's, Rig, true masks of every ball."""
 
     def make(balls, radius=0.6, blank=False):
-        rng = np.random.default_rng(0)
+        rng = numpy_rng(0)
         ground = np.repeat(rng.uniform(0.25, 0.75, (64, 64, 1)), 3, -1)
         if blank:
             ground = np.full((64, 64, 3), 0.6)

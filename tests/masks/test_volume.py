@@ -6,6 +6,7 @@ from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import hull_points
 from pipeline.masks.colours import Colours
 from pipeline.masks.volume import connected, nearest_depth, soft_hull, the_object
+from tests.seeds import numpy_rng
 from tests.surface.test_surface import silhouettes
 
 CELL = 0.05
@@ -93,7 +94,7 @@ def test_nearest_depth_is_the_front_of_a_block(rig):
 
 
 def test_colours_speak_for_the_side_that_shows_them():
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     lab = np.concatenate(
         [rng.normal([60, 50, 30], 3, (40, 80, 3)), rng.normal([60, 0, 0], 3, (40, 80, 3))]
     ).astype(np.float32)

@@ -5,17 +5,29 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 
 from pipeline.base.config import Capture
 from pipeline.base.errors import InputError
-from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write_exr
+from pipeline.base.images import (
+    LARGEST_HALF,
+    linear_to_srgb,
+    luminance,
+    read_exr,
+    read_png,
+    srgb_to_linear,
+    write_exr,
+)
 from pipeline.photos.capture import capture
+from pipeline.photos.decode import decode
 from pipeline.photos.given_cameras import read_transforms
-from pipeline.photos.scene_files import find_photos
+from pipeline.photos.radiance import Radiance
+from pipeline.photos.scene_files import find_photos, left_out
+from tests.seeds import numpy_rng
 
-PHOTO = (np.random.default_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
+PHOTO = (numpy_rng(0).random((24, 36, 3)) * 255).astype(np.uint8)
 
 
 @pytest.fixture
@@ -158,7 +170,31 @@ def _mask_of_trillions(scene):
 
 def test_hidden_and_mask_files_are_no_photos(scene):
     (scene / "images" / ".hidden.png").write_bytes(b"x")
-    assert len(find_photos(scene)) == 4
+    for folder in (scene / "images" / ".thumbnails", scene / "images" / "b" / ".cache" / "large"):
+        folder.mkdir(parents=True)
+        Image.fromarray(PHOTO).save(folder / "bild.png")
+        (folder / "bild.webp").write_bytes(b"x")
+    found = find_photos(scene)
+    assert len(found) == 4 and left_out(scene, found) == {}
+
+
+def test_a_mask_is_of_one_photo(scene, tmp_path):
+    """Photos of one stem in two folders: by stem alone one mask would be both photos'."""
+    masks = scene / "masks"
+    masks.mkdir()
+    white = Image.fromarray(np.full(PHOTO.shape[:2], 255, np.uint8))
+    white.save(masks / "0001.png")
+    for side in ("left", "right"):
+        (scene / "images" / side).mkdir()
+        Image.fromarray(PHOTO).save(scene / "images" / side / "0001.jpg")
+    with pytest.raises(InputError, match="may be the mask of .*left/0001.jpg and of .*right/0001"):
+        run(scene, tmp_path)
+
+    (masks / "left").mkdir()
+    (masks / "0001.png").rename(masks / "left" / "0001.png")
+    (tmp_path / "out").rmdir()
+    photos = {p["name"]: p["has_mask"] for p in run(scene, tmp_path)[2]}
+    assert photos["left_0001"] and not photos["right_0001"]
 
 
 def test_dots_in_names_stay_apart_and_unnamed_photos_are_told(scene, tmp_path, capsys):
@@ -316,6 +352,80 @@ def test_saturation_is_judged_before_scaling(scene, tmp_path):
     assert np.argwhere(out_saturated).tolist() == [[4, 20, 0], [4, 20, 1], [4, 20, 2], [25, 50, 2]]
     assert read_exr(out / "images" / "bild 1 ä.exr")[4, 20].max() < 0.4
     assert metrics["clipped_share"] == pytest.approx(2 / (48 * 64))
+
+
+def exr(file: Path, channels: dict[str, np.ndarray]) -> Path:
+    """An EXR file of any channels."""
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, channels) as picture:
+        picture.write(str(file))
+    return file
+
+
+def test_alpha_of_an_exr_is_a_mask(scene, tmp_path):
+    pixels = np.full((24, 36, 4), 0.4, np.float32)
+    pixels[..., 3] = 0
+    pixels[4:20, 6:30, 3] = 1
+    exr(scene / "images" / "linear.exr", {"RGBA": pixels})
+    out, _, photos = run(scene, tmp_path)
+    assert [p["name"] for p in photos if p["has_mask"]] == ["linear"]
+    assert ((read_png(out / "masks" / "linear.png") > 127) == (pixels[..., 3] > 0)).all()
+
+
+def test_no_other_layer_of_an_exr_is_taken_for_the_photo(scene, tmp_path):
+    depth = np.full((24, 36), 7.0, np.float32)
+    color = np.full((24, 36, 3), 0.4, np.float32)
+    file = exr(
+        scene / "images" / "a.exr", {"depth.Z": depth, "RGB": color, "glossy.RGB": 2 * color}
+    )
+    out, _, _ = run(scene, tmp_path)
+    assert np.allclose(read_exr(out / "images" / "a.exr"), 0.4, atol=1e-3)
+
+    exr(file, {"depth.Z": depth, "beauty.RGB": color})
+    with pytest.raises(InputError, match="beauty.* not R, G, B"):
+        decode(file)
+    with pytest.raises(InputError, match="neither R, G, B nor a single one"):
+        read_exr(file)
+
+
+def exr_scene(folder: Path, unit: float) -> Path:
+    """Three linear photos of one thing, from other sides, in a unit of radiance."""
+    (folder / "images").mkdir(parents=True)
+    for k in range(3):
+        pixels = np.roll(srgb_to_linear(PHOTO / 255.0), 5 * k, 1)
+        write_exr(folder / "images" / f"{k}.exr", unit * pixels)
+    return folder
+
+
+@pytest.mark.parametrize("unit", [2.0**-9, 0.5, 1.0, 2.0**5, 2.0**20])
+def test_photos_in_any_unit_of_radiance_show_the_same(tmp_path, unit):
+    """To the bit, for a unit that is a power of two; the unit itself is written down."""
+    out, metrics, photos = run(exr_scene(tmp_path / "any", unit), tmp_path)
+    white = Radiance.load(out).white
+    assert white == metrics["white"] and (unit not in (0.5, 1.0) or white == 1.0)
+    for k in range(3):
+        mine = read_exr(out / "images" / f"{k}.exr")
+        expected = np.roll(srgb_to_linear(PHOTO / 255.0), 5 * k, 1) * (unit / white)
+        assert np.array_equal(mine, expected.astype(np.float16).astype(np.float32))
+        assert 0.1 < np.percentile(luminance(mine), 95) < 2
+    assert all(p["clip_level"] == 1e6 for p in photos)
+
+
+def test_integers_bring_their_unit_along(scene, tmp_path):
+    for k in range(4):
+        Image.fromarray(PHOTO // 16).save(scene / "images" / f"bild {k} ä.png")
+    out, _, _ = run(scene, tmp_path)
+    assert Radiance.load(out).white == 1.0
+
+
+def test_a_pixel_that_no_half_can_hold_is_a_lower_bound(scene, tmp_path):
+    pixels = np.full((24, 36, 3), 0.4, np.float32)
+    pixels[3, 5] = 1e6, 0.5, 7e4
+    write_exr(scene / "images" / "sun.exr", pixels)
+    out, _, _ = run(scene, tmp_path)
+    assert read_exr(out / "images" / "sun.exr")[3, 5, 0] == LARGEST_HALF
+    saturated = read_png(out / "saturated" / "sun.png") > 0
+    assert saturated.sum() == 2 and saturated[3, 5].tolist() == [True, False, True]
 
 
 def test_scaling_averages_light_and_not_codes(scene, tmp_path):

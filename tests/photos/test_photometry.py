@@ -5,6 +5,7 @@ import pytest
 
 from pipeline.base.images import read_exr, write_exr
 from pipeline.photos.photometry import gains, match_exposure, point_brightness, worth_dividing
+from tests.seeds import numpy_rng
 
 STOPS = np.array(
     [
@@ -29,21 +30,21 @@ def seen(stops, rng, points=400):
 
 
 def test_gains_are_found_and_sum_to_zero_in_every_channel():
-    found = gains(seen(STOPS, np.random.default_rng(0)))
+    found = gains(seen(STOPS, numpy_rng(0)))
     np.testing.assert_allclose(found, STOPS - STOPS.mean(0), atol=0.06)
     np.testing.assert_allclose(found.sum(0), 0, atol=1e-12)
 
 
 def test_highlights_do_not_move_gains():
     """A tenth of all sightings three stops brighter: least squares would be off by .3."""
-    rng = np.random.default_rng(1)
+    rng = numpy_rng(1)
     values = seen(STOPS, rng)
     values[:3] += 3.0 * (rng.random(values[:3].shape[:2]) < 0.1)[..., None]
     np.testing.assert_allclose(gains(values), STOPS - STOPS.mean(0), atol=0.08)
 
 
 def test_photos_without_links_keep_their_exposure_and_the_rest_sums_to_zero():
-    rows = seen(STOPS, np.random.default_rng(2))
+    rows = seen(STOPS, numpy_rng(2))
     rows[1, 20:] = np.nan  # too few points
     rows[2, :300] = np.nan  # ... and one that shares its points with no other
     rows[[0, 1, 3, 4, 5, 6], 300:] = np.nan
@@ -64,7 +65,7 @@ def test_brightness_and_white_balance_are_divided_each_for_itself():
 
 @pytest.mark.parametrize("step,matched", [(0.8, True), (0.02, False)])
 def test_photos_are_divided_only_if_it_is_much(ring, tmp_path, step, matched):
-    rng, views = np.random.default_rng(0), ring(6, 64)
+    rng, views = numpy_rng(0), ring(6, 64)
     (tmp_path / "images").mkdir()
     stops = step * (np.array([-1, 0, 1, 1, -1, 0.5])[:, None] + np.array([0.5, 0, -0.5]))
     stops[0] += step * np.array([1.0, 0, -1])
@@ -93,7 +94,7 @@ def test_saturated_sightings_do_not_count(ring, tmp_path):
     left = np.zeros((64, 64, 3), np.uint8)
     left[:, :32] = 255
     write_png(tmp_path / "saturated" / "v0.png", left)
-    xyz = np.random.default_rng(0).uniform(-0.3, 0.3, (100, 3))
+    xyz = numpy_rng(0).uniform(-0.3, 0.3, (100, 3))
     points = {"xyz": xyz, "offsets": np.arange(101), "views": np.zeros(100, int)}
     found = point_brightness([view], tmp_path, points)[0]
     clipped = view.project(xyz)[0][:, 0] < 32

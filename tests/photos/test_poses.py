@@ -1,9 +1,13 @@
 import json
 
+import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
+from pipeline.base.config import Observe, Poses
 from pipeline.base.errors import InputError
+from pipeline.base.images import write_exr
 from pipeline.geometry.cameras import Rig, View, load_cameras, save_cameras
 from pipeline.photos.given_cameras import Lens, read_transforms, turned_right
 from pipeline.photos.poses import (
@@ -13,6 +17,10 @@ from pipeline.photos.poses import (
     similarity,
     undistort,
 )
+from pipeline.photos.sfm import write_inputs
+from tests.seeds import numpy_rng
+
+ALL = Observe(held_out=0)  # every photo is used
 
 
 def test_cameras_survive_the_disk(tmp_path, ring):
@@ -26,7 +34,7 @@ def test_cameras_survive_the_disk(tmp_path, ring):
 
 def test_rays_and_projection_are_inverse(ring):
     view = ring(5)[3]
-    uv = np.random.default_rng(0).uniform(0, 64, (50, 2))
+    uv = numpy_rng(0).uniform(0, 64, (50, 2))
     o, d = view.rays(uv)
     back, depth = view.project(o + 2.5 * d)
     assert np.allclose(back, uv) and (depth > 0).all() and np.allclose(np.linalg.norm(d, axis=1), 1)
@@ -60,6 +68,14 @@ def test_transforms_put_a_point_where_blender_would(tmp_path):
     )
 
 
+def test_frame_of_a_photo_that_capture_has_left_out_is_named(tmp_path):
+    file = tmp_path / "transforms.json"
+    frames = [{"file_path": "images/a.png", "transform_matrix": np.eye(4).tolist()}]
+    file.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    with pytest.raises(InputError, match="'images/a.png' was not captured"):
+        read_transforms(file, tmp_path, {"b": (8, 8)})
+
+
 def test_frame_without_a_matrix_is_named(tmp_path):
     (tmp_path / "t.json").write_text(
         json.dumps(
@@ -91,7 +107,7 @@ def test_colmap_model_passes_through(tmp_path):
 
 
 def test_ground_is_found_and_turned_level(ring):
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     tilt = rotation_to_y(np.array([0.2, 0.9, 0.1]) / np.linalg.norm([0.2, 0.9, 0.1])).T
     flat = np.concatenate(
         [
@@ -112,7 +128,7 @@ def test_ground_is_found_and_turned_level(ring):
 
 def test_any_direction_is_turned_up():
     """+Y itself, its opposite and what is near it too."""
-    random = np.random.default_rng(0).normal(size=(20, 3))
+    random = numpy_rng(0).normal(size=(20, 3))
     near_down = [[d, -1, 0.5 * d] for d in (0, 1e-6, 1e-3)]
     for up in [*random, *near_down, [0, 1, 0]]:
         up = np.array(up, float) / np.linalg.norm(up)
@@ -125,7 +141,7 @@ def test_any_direction_is_turned_up():
 
 
 def test_no_ground_in_a_cloud_of_points(ring):
-    cloud = np.random.default_rng(0).normal(size=(500, 3))
+    cloud = numpy_rng(0).normal(size=(500, 3))
     centers = np.stack([v.position for v in ring(8)])
     assert ground_plane(cloud, centers, np.array([0, 1.0, 0]), np.zeros(3), 0) is None
 
@@ -184,8 +200,6 @@ def test_cameras_that_would_be_misread_are_refused(tmp_path, more, fact):
 
 
 def _captured(tmp_path, pictures):
-    from PIL import Image
-
     from pipeline.base.config import Capture
     from pipeline.photos.capture import capture
 
@@ -200,10 +214,9 @@ def _captured(tmp_path, pictures):
 
 @pytest.mark.parametrize("kind", ["blank", "unrelated"])
 def test_photos_that_do_not_connect_are_refused(tmp_path, kind):
-    from pipeline.base.config import Poses
     from pipeline.photos.poses import make_poses
 
-    rng = np.random.default_rng(3)
+    rng = numpy_rng(3)
     pictures = [
         np.full((90, 120, 3), 120, np.uint8)
         if kind == "blank"
@@ -211,7 +224,7 @@ def test_photos_that_do_not_connect_are_refused(tmp_path, kind):
         for _ in range(4)
     ]
     with pytest.raises(InputError, match="only 0 of 4 photos.*\n.*overlap"):
-        make_poses(*_captured(tmp_path, pictures), Poses(max_size=200, features=500), 2)
+        make_poses(*_captured(tmp_path, pictures), Poses(max_size=200, features=500), ALL, 2)
 
 
 def _model(folder, names, ring):
@@ -235,13 +248,12 @@ def _model(folder, names, ring):
 
 
 def test_colmap_folder_without_points_is_turned_upright(tmp_path, ring):
-    from pipeline.base.config import Poses
     from pipeline.photos.poses import make_poses
 
-    noise = np.random.default_rng(0).integers(0, 255, (6, 64, 64, 3)).astype(np.uint8)
+    noise = numpy_rng(0).integers(0, 255, (6, 64, 64, 3)).astype(np.uint8)
     capture, scene, out = _captured(tmp_path, list(noise))
     _model(scene / "sparse" / "0", [f"{k}.png" for k in range(6)], ring)
-    metrics = make_poses(capture, scene, out, Poses(), 2)
+    metrics = make_poses(capture, scene, out, Poses(), ALL, 2)
     rig = load_cameras(out / "cameras.json")
     assert (
         metrics["source"] == "colmap"
@@ -256,7 +268,6 @@ def test_colmap_folder_without_points_is_turned_upright(tmp_path, ring):
 
 
 def test_model_with_images_that_are_not_there_is_refused(tmp_path, ring):
-    from pipeline.base.config import Poses
     from pipeline.photos.poses import make_poses
 
     capture, scene, out = _captured(
@@ -264,7 +275,7 @@ def test_model_with_images_that_are_not_there_is_refused(tmp_path, ring):
     )
     _model(scene / "sparse" / "0", [f"{k}.png" for k in range(3)] + ["lost.png"], ring)
     with pytest.raises(InputError, match="lost.png"):
-        make_poses(capture, scene, out, Poses(), 2)
+        make_poses(capture, scene, out, Poses(), ALL, 2)
 
 
 def test_a_lens_turned_by_a_quarter_sees_the_same_points_turned(ring):
@@ -274,7 +285,7 @@ def test_a_lens_turned_by_a_quarter_sees_the_same_points_turned(ring):
     view = ring(5)[2]
     lens = Lens(90, 64, 80.0, 82.0, 44.0, 33.0, (-0.2, 0.05, 0.01, -0.02))
     turned, pose = turned_right(lens, view.world_to_camera)
-    points = np.random.default_rng(0).uniform(-0.4, 0.4, (50, 3))
+    points = numpy_rng(0).uniform(-0.4, 0.4, (50, 3))
     before = _distorted(lens, view.world_to_camera, points)
     after = _distorted(turned, pose, points)
     np.testing.assert_allclose(after, np.stack([64 - before[:, 1], before[:, 0]], 1), atol=1e-9)
@@ -297,11 +308,8 @@ def test_portraits_and_landscapes_of_one_camera_share_it(tmp_path, setting, came
     """Three landscapes and a portrait of one camera, and one of a longer lens, as COLMAP gets
     them: of one size, the portrait lying on its left side.
     """
-    from PIL import Image
-
-    from pipeline.base.config import Capture, Poses
+    from pipeline.base.config import Capture
     from pipeline.photos.capture import capture
-    from pipeline.photos.sfm import write_inputs
     from tests.photos.files import PICTURE
 
     (tmp_path / "scene" / "images").mkdir(parents=True)
@@ -329,18 +337,32 @@ def test_portraits_and_landscapes_of_one_camera_share_it(tmp_path, setting, came
             )
 
 
+def test_photos_are_matched_as_they_were_exposed(tmp_path):
+    """A short exposure over its gain is bright: at the scene's white it would be all white."""
+    (tmp_path / "images").mkdir()
+    (tmp_path / "matched").mkdir()
+    shown = numpy_rng(0).uniform(0.2, 0.9, (32, 48, 3)).astype(np.float32)
+    shown = cv2.GaussianBlur(shown, (0, 0), 3)
+    photos = []
+    for k, gain in enumerate((1.0, 1 / 16)):
+        write_exr(tmp_path / "images" / f"{k}.exr", shown / gain, half=True)
+        photos.append({"name": str(k), "gain": gain, "width": 48, "height": 32})
+    names, _ = write_inputs(tmp_path, photos, tmp_path / "matched", Poses())
+    one, two = (np.asarray(Image.open(tmp_path / "matched" / file)).astype(int) for file in names)
+    assert np.ptp(one) > 10 and np.array_equal(one, two)
+
+
 def test_saturated_pixels_reach_the_poses(tmp_path, ring):
     """Through undistortion, and by their own picture: their mean is far below the clip level."""
-    from pipeline.base.config import Poses
     from pipeline.base.images import read_exr, read_png
     from pipeline.photos.poses import make_poses
     from pipeline.photos.saturation import saturated
 
-    noise = np.random.default_rng(0).integers(0, 200, (6, 64, 64, 3)).astype(np.uint8)
+    noise = numpy_rng(0).integers(0, 200, (6, 64, 64, 3)).astype(np.uint8)
     noise[:, 20, 30, 1] = 255
     capture, scene, out = _captured(tmp_path, list(noise))
     _model(scene / "sparse" / "0", [f"{k}.png" for k in range(6)], ring)
-    make_poses(capture, scene, out, Poses(), 2)
+    make_poses(capture, scene, out, Poses(), ALL, 2)
     view = load_cameras(out / "cameras.json").views[0]
     assert np.argwhere(read_png(out / view.saturated)).tolist() == [[20, 30, 1]]
     photo = read_exr(out / view.image)

@@ -10,13 +10,14 @@ from PIL import Image
 from pipeline.base.config import Capture
 from pipeline.base.errors import InputError
 from pipeline.photos.capture import capture
+from tests.seeds import numpy_rng
 
 VIEWS = 16
 
 
 def world(size=900) -> np.ndarray:
     """Texture of all scales, in [0, 1]."""
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     out = np.zeros((size, size), np.float32)
     for sigma in (1.0, 3.0, 10.0, 30.0):
         layer = cv2.GaussianBlur(rng.normal(size=(size, size)).astype(np.float32), (0, 0), sigma)
@@ -33,7 +34,7 @@ def photo(view: int, shift=0.0, blur=0, noise=0) -> np.ndarray:
     grey = cv2.warpAffine(WORLD, place, (300, 200))
     if blur:
         grey = cv2.blur(grey, (blur, 1 + blur // 2))
-    grey = grey + 0.01 * np.random.default_rng(noise).normal(size=grey.shape)
+    grey = grey + 0.01 * numpy_rng(noise).normal(size=grey.shape)
     return (255 * np.clip(np.repeat(grey[..., None], 3, 2), 0, 1)).astype(np.uint8)
 
 

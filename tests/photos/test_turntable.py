@@ -5,6 +5,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.photos.turntable import LightMotion, check, light_motion, off_circle
+from tests.seeds import numpy_rng
 
 RESTING = np.array([0.6, 0.5, 0.6])
 
@@ -43,7 +44,7 @@ def sightings(views, kind, rng, points=600):
 )
 def test_moving_light_is_told_from_resting_light_and_from_gloss(ring, kind, moves):
     views = ring(16, elevation=25.0)
-    xyz, level = sightings(views, kind, np.random.default_rng(0))
+    xyz, level = sightings(views, kind, numpy_rng(0))
     motion = light_motion(views, level, xyz, np.zeros(3), 0.5)
     assert motion.moves == moves
     assert motion.explained > 0.3 if moves else motion.explained < 0.05
@@ -51,7 +52,7 @@ def test_moving_light_is_told_from_resting_light_and_from_gloss(ring, kind, move
 
 def test_few_points_are_no_evidence(ring):
     views = ring(16)
-    xyz, level = sightings(views, "moves", np.random.default_rng(0), points=90)
+    xyz, level = sightings(views, "moves", numpy_rng(0), points=90)
     assert light_motion(views, level, xyz, np.zeros(3), 0.5).explained is None
 
 
@@ -59,7 +60,7 @@ def test_deviation_from_a_circle():
     angle = np.linspace(0, 5, 20)
     circle = 3 * np.stack([np.cos(angle), 0 * angle + 0.2, np.sin(angle)], 1) + [1, 2, 3]
     assert off_circle(circle) < 1e-6
-    wobble = 0.1 * 3 * np.random.default_rng(0).normal(size=circle.shape) / np.sqrt(2)
+    wobble = 0.1 * 3 * numpy_rng(0).normal(size=circle.shape) / np.sqrt(2)
     assert 0.06 < off_circle(circle + wobble) < 0.12
 
 

@@ -6,13 +6,14 @@ import sys
 import torch
 
 from pipeline.posterior.adam import Adam
+from tests.seeds import torch_rng
 
 BETAS = (0.9, 0.99)
 
 
 def test_same_bits_as_torchs_class():
     """With rates of their own and common ones, and a value that has no slope for a while."""
-    noise = torch.Generator().manual_seed(0)
+    noise = torch_rng(0)
     first = [torch.randn(7, generator=noise), torch.randn((3, 4), generator=noise)]
     ours, theirs = ([value.clone() for value in first] for _ in range(2))
     mine = Adam(ours, [0.1, 0.02], BETAS)

@@ -21,6 +21,7 @@ from pipeline.posterior.refine import ROUGHNESS_FACTOR, as_the_mesh_shows, stay_
 from pipeline.posterior.shading import Shading
 from pipeline.posterior.textures import bilinear_matrix, gather, splat
 from pipeline.render.renderer import Explanation
+from tests.seeds import numpy_rng
 
 SIZE = 64
 VIEWS = 10
@@ -30,7 +31,7 @@ def pixels_of(truth: np.ndarray, count: int, misplaced: float = 0.0) -> tuple:
     """Observations of a flat map (t, t, 3) under shading that differs from pixel to pixel, whose uv
     are wrong by `misplaced` texels (standard deviation), all of a view by the same.
     """
-    rng = np.random.default_rng(1)
+    rng = numpy_rng(1)
     uv = rng.uniform(0.05, 0.95, (count, 2))
     view = rng.integers(VIEWS, size=count)
     shading = Shading(rng.uniform(0.5, 2, (count, 3)), np.full((count, 3), 0.05))
@@ -48,12 +49,12 @@ def pixels_of(truth: np.ndarray, count: int, misplaced: float = 0.0) -> tuple:
 @pytest.fixture(scope="module")
 def truth() -> np.ndarray:
     """A map of detail in every second texel."""
-    image = np.random.default_rng(0).uniform(0.1, 0.8, (SIZE // 2, SIZE // 2, 3))
+    image = numpy_rng(0).uniform(0.1, 0.8, (SIZE // 2, SIZE // 2, 3))
     return np.repeat(np.repeat(image, 2, 0), 2, 1).astype(np.float32)
 
 
 def test_bilinear_matrix_is_gather_and_its_transpose_splat(truth):
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     uv = rng.uniform(0.02, 0.98, (300, 2))
     values = rng.random((300, 3))
     matrix = bilinear_matrix(uv, SIZE)
@@ -174,7 +175,7 @@ def test_gloss_stays_near_the_draw():
 def test_shading_of_a_dielectric_is_shared_between_photos_and_of_a_metal_is_not(truth):
     """D that follows the surface, with the noise of each photo's own paths."""
     observations, _ = pixels_of(truth, 60_000)
-    rng = np.random.default_rng(2)
+    rng = numpy_rng(2)
     smooth = 1 + 0.3 * np.sin(4 * observations.uv[:, :1]) * np.ones(3)
     noisy = smooth * rng.lognormal(0, 0.2, smooth.shape)
     shading = Shading(noisy.astype(np.float32), np.full(smooth.shape, 0.05, np.float32))

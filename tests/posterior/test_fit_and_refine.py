@@ -3,15 +3,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.base.config import Refine, Sample
+from pipeline.base.config import Fit, Refine, Sample
 from pipeline.base.images import read_exr
 from pipeline.base.progress import Bar
 from pipeline.posterior.dpi.as_published import dpi_paper, rho
+from pipeline.posterior.fit import fit
+from pipeline.posterior.problem import SHADE
 from pipeline.posterior.refine import refine, solve_base_color, units
 from pipeline.posterior.textures import gather, splat
 from pipeline.prior.load import load_prior
 from pipeline.render.metrics import psnr, render_view
 from pipeline.render.renderer import Explanation
+from tests.posterior.test_samplers import median_error
+from tests.seeds import numpy_rng, seeded
 
 
 def test_observations_are_pixels_of_the_photos(toy, problem):
@@ -27,16 +31,35 @@ def test_observations_are_pixels_of_the_photos(toy, problem):
 
 def test_rays_go_through_their_pixels(problem):
     observations = problem.observations
-    origins, directions = observations.rays(np.arange(200), np.random.default_rng(0))
+    origins, directions = observations.rays(np.arange(200), numpy_rng(0))
     for k in range(0, 200, 20):
         view = observations.views[observations.view[k]]
         seen_at, _ = view.project(origins[k] + 2 * directions[k])
         assert (np.floor(seen_at) == observations.pixel[k]).all()
 
 
-def test_fit_explains_the_photos(start):
-    _, facts = start
-    assert facts["loss_end"] < 0.4 * facts["loss_start"]
+def test_fit_explains_the_photos(problem, start):
+    """A quarter of the error of a picture of one colour is left at most (seeds 0 to 2: .06 to .11),
+    by two pictures whose noise, half of a step's own loss, drops out of the product.
+    """
+    observations, rng = problem.observations, numpy_rng(0)
+    index = rng.integers(len(observations), size=1500)
+    photo = observations.rgb[index]
+    problem.renderer.set(start[0])
+    paths = lambda k: problem.renderer.radiance(*observations.rays(index, rng), seeded(k))
+    pictures = [np.mean([paths(10 * half + k) for k in range(8)], axis=0) for half in (0, 1)]
+    one, two, of_one_color = (
+        (picture - photo) / (photo + SHADE) for picture in (*pictures, photo.mean(0))
+    )
+    assert (one * two).mean() < 0.25 * (of_one_color**2).mean()
+
+
+def test_a_fit_on_one_thread_is_repeatable(problem, one_thread):
+    """Bit for bit: every draw begins there."""
+    settings = Fit(steps=5, pixels=500, spp=2, texture=32)
+    one, two = (fit(problem, settings)[0] for _ in range(2))
+    for field in ("light", "base_color", "roughness", "metallic"):
+        assert np.array_equal(getattr(one, field), getattr(two, field)), field
 
 
 def test_sample_is_the_same_alone_or_among_others(problem, start, one_thread):
@@ -44,7 +67,7 @@ def test_sample_is_the_same_alone_or_among_others(problem, start, one_thread):
     published code's first defect).
     """
     prior = load_prior("prior_small")
-    settings = Sample(steps=6, pixels=300, spp=2, texture=32)
+    settings = Sample(steps=6, pixels=300, spp=2, texture=32, seed=seeded(0))
 
     alone, _ = dpi_paper(problem, prior, start[0], settings, 1)
     other, _ = dpi_paper(problem, prior, start[0], settings, 0)
@@ -56,16 +79,21 @@ def test_sample_is_the_same_alone_or_among_others(problem, start, one_thread):
 
 
 def test_sample_explains_the_photos(problem, start):
-    settings = Sample(steps=60, pixels=800, spp=2, texture=32, learning_rate=0.03)
+    """The median pixel, against where the chain begins: at the fit's light with a black object. The
+    loss of its few random paths tells less: one that meets the sun is all of it.
+    """
+    settings = Sample(steps=60, pixels=400, spp=2, texture=32, learning_rate=0.03, seed=seeded(0))
     drawn, facts = dpi_paper(problem, load_prior("prior_small"), start[0], settings, 0)
-    assert facts["loss_last"] < 0.7 * facts["loss_first"]  # a short chain: .47 to .78 by the seed
-    assert np.isfinite(drawn.light).all() and drawn.light.min() >= 0
+    black = replace(start[0], base_color=np.zeros_like(start[0].base_color))
+    # a sixth to a fifth of it at the seeds 0 to 5
+    assert median_error(problem, drawn) < 0.3 * median_error(problem, black)
+    assert facts["loss_last"] > 0 and np.isfinite(drawn.light).all() and drawn.light.min() >= 0
 
 
 def test_refined_sample_predicts_the_held_out_view(problem, start, toy):
     settings = Refine(steps=20, pixels=800, texture=32)
     with Bar("refine", units(settings)) as bar:
-        refined, _ = refine(problem, problem, start[0], settings, 0, bar)
+        refined, _ = refine(problem, problem, start[0], settings, seeded(0), bar)
     assert bar.done == bar.total
 
     view = problem.observations.held_out[0]
@@ -89,13 +117,13 @@ def test_highlights_do_not_stay_in_the_base_colour(problem):
     plain = lambda value: np.full((32, 32), value, np.float32)
     truth = Explanation(light, np.full((32, 32, 3), 0.05, np.float32), plain(0.15), plain(0.0))
 
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     observations = copy(problem.observations)
     every_pixel = np.arange(len(observations))
     problem.renderer.set(truth)
     observations.rgb = np.mean(
         [
-            problem.renderer.radiance(*observations.rays(every_pixel, rng), seed)
+            problem.renderer.radiance(*observations.rays(every_pixel, rng), seeded(seed))
             for seed in range(64)
         ],
         axis=0,
@@ -114,7 +142,7 @@ def test_highlights_do_not_stay_in_the_base_colour(problem):
 
 
 def test_splat_is_the_adjoint_of_gather():
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     uv = rng.uniform(0.1, 0.9, (500, 2))
     image = rng.random((16, 16, 3)).astype(np.float32)
     values = rng.random((500, 3))
@@ -129,7 +157,7 @@ def test_guidance_weight_follows_the_paper():
 
 
 def test_saturated_pixels_only_bound_from_below(problem):
-    batch = problem.batch(50, 2, np.random.default_rng(0))
+    batch = problem.batch(50, 2, numpy_rng(0))
     batch.clipped[:] = True
     assert (problem.residual(batch.observed + 1, batch) == 0).all()
     assert (problem.residual(batch.observed - 0.05, batch) < 0).all()

@@ -14,6 +14,7 @@ from pipeline.posterior.illumination.penalties import (
     total_variation,
 )
 from pipeline.render.envmap import directions, sh_basis, solid_angles, yaw_roll
+from tests.seeds import numpy_rng
 
 
 def grey(values: np.ndarray) -> torch.Tensor:
@@ -43,12 +44,12 @@ def test_total_variation_on_the_sphere():
 def test_chromaticity_of_a_colour():
     light = torch.ones(8, 16, 3) * torch.tensor([1.6, 1.0, 0.4])
     assert float(chromaticity(light)) == pytest.approx(0.4, abs=2e-3)  # (.6 + 0 + .6) / 3
-    assert float(chromaticity(grey(np.random.default_rng(0).random((8, 16))))) < 1e-6
+    assert float(chromaticity(grey(numpy_rng(0).random((8, 16))))) < 1e-6
 
 
 @pytest.mark.parametrize("name", PENALTIES)
 def test_slopes_are_differences(name):
-    rng = np.random.default_rng(1)
+    rng = numpy_rng(1)
     light = rng.uniform(0.5, 2, (8, 16, 3)).astype(np.float32)
     value, slope = penalised(PENALTIES[name], light, 1.3)
     step = rng.normal(size=light.shape).astype(np.float32)
@@ -86,7 +87,7 @@ def test_an_untrained_network_begins_constant_and_draws_what_is_smooth_before_no
     weight = solid_angles(16, 32)[..., None]
     smooth = np.repeat(np.exp(d[..., :1] - 0.5 * d[..., 1:2]), 3, -1).astype(np.float32)
     deviation = np.log(smooth).std()
-    noisy = np.exp(np.random.default_rng(0).normal(0, deviation, smooth.shape)).astype(np.float32)
+    noisy = np.exp(numpy_rng(0).normal(0, deviation, smooth.shape)).astype(np.float32)
 
     def left_over(true: np.ndarray) -> tuple[float, np.ndarray]:
         """Squared error of log radiance after the steps, over what it was."""

@@ -9,15 +9,15 @@ from pipeline.base.errors import InputError
 from pipeline.posterior.check_settings import check_settings
 from pipeline.posterior.illumination.latent import LatentLight
 from pipeline.prior.generators import load_generator
-from pipeline.prior.load import load_prior
 from pipeline.render.envmap import mean_radiance, solid_angles
+from tests.seeds import numpy_rng, torch_rng
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 NAMES = ("gan_latent", "equivariant_field")
 
 
 def latents(generator, seed: int) -> torch.Tensor:
-    return torch.randn((1, *generator.latents), generator=torch.Generator().manual_seed(seed))
+    return torch.randn((1, *generator.latents), generator=torch_rng(seed))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -35,7 +35,7 @@ def test_its_slope_is_that_of_loss_and_prior(name):
     generator = load_generator(name)
     z = latents(generator, 1)
     light = LatentLight(generator, z, 32, 1.0, 0.7, 0.0)
-    slope = np.random.default_rng(0).normal(size=(32, 64, 3)).astype(np.float32) / 6144
+    slope = numpy_rng(0).normal(size=(32, 64, 3)).astype(np.float32) / 6144
     light.step(slope, light.light())
     along = latents(generator, 2)
 
@@ -76,9 +76,8 @@ def test_latents_without_photos_go_to_zero():
 
 def test_a_prior_of_other_rows_is_refused_before_anything_is_drawn():
     """The adversarial network makes 32 rows or a multiple; the field makes any."""
-    tiny = load_prior("prior_tiny")
     settings = Sample(method="gan_latent", prior="prior_tiny")
     with pytest.raises(InputError, match="a multiple of 32 rows, not of the prior's 16"):
-        check_settings(settings, tiny)
-    check_settings(settings.model_copy(update={"method": "equivariant_field"}), tiny)
-    check_settings(settings, load_prior("prior_small"))
+        check_settings(settings)
+    check_settings(settings.model_copy(update={"method": "equivariant_field"}))
+    check_settings(settings.model_copy(update={"prior": "prior_small"}))

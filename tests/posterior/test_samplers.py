@@ -4,13 +4,16 @@ alone.
 
 import pickle
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 import torch
 
 from pipeline.base.config import Sample
-from pipeline.posterior.samplers import SAMPLERS
+from pipeline.base.errors import InputError
+from pipeline.posterior.draw_facts import DrawFacts
+from pipeline.posterior.samplers import SAMPLERS, Sampler
 from pipeline.posterior.split_gibbs import sampler
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.sampler import begun, gaussian_sweeps
@@ -18,6 +21,7 @@ from pipeline.posterior.split_gibbs.setup import set_up
 from pipeline.posterior.split_gibbs.state import Randomness
 from pipeline.posterior.split_gibbs.thinning import explained
 from pipeline.prior.load import load_prior
+from tests.seeds import numpy_rng, seeded, torch_rng
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 SMALL = Sample(
@@ -36,14 +40,17 @@ SMALL = Sample(
     search_prior="gaussian_tiny",
     search_points=10,
     search_sweeps=1,
+    seed=seeded(0),
 )
 
 
-def error(problem, x) -> float:
+def median_error(problem, x) -> float:
     """Median relative error over the observed pixels."""
     index = np.arange(0, len(problem.observations), 4)
     problem.renderer.set(x)
-    L = problem.renderer.mean_radiance(lambda rng: problem.observations.rays(index, rng), 32, 3)
+    L = problem.renderer.mean_radiance(
+        lambda rng: problem.observations.rays(index, rng), 32, seeded(3)
+    )
     y = problem.observations.rgb[index]
     return float(np.median(np.abs(L - y) / (y + 0.1)))
 
@@ -90,7 +97,7 @@ def test_starts_left_far_behind_take_no_further_sweeps(monkeypatch):
     monkeypatch.setattr(sampler, "log_odds", lambda rng, model, state: state[0])
     sweep = lambda rng, model, state, count: swept.append(state[1]) or (state[0] + 1.0, state[1])
     monkeypatch.setattr(sampler, "gaussian_sweeps", sweep)
-    rng = Randomness(np.random.default_rng(0), torch.Generator())
+    rng = Randomness(numpy_rng(0), torch.Generator())
 
     for gap, of_second in ((0.5, ["second"]), (1.5, [])):
         swept.clear()
@@ -105,14 +112,14 @@ def test_starts_are_judged_by_photos_that_they_were_not_told_of(problem, start):
     """
     with torch.no_grad():
         rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)
-        some = model.without_some_photos(np.random.default_rng(1))
+        some = model.without_some_photos(numpy_rng(1))
         told = some.data.told
         assert set(some.view[told]).isdisjoint(some.view[~told]) and 0 < told.mean() < 1
 
         observed = model.data.observed * np.where(told, 1.0, 3.0)[:, None]
         other = replace(some, data=replace(some.data, observed=observed))
         other = replace(other, mixer=Mixer(other.data))
-        fresh = lambda: Randomness(np.random.default_rng(2), torch.Generator().manual_seed(2))
+        fresh = lambda: Randomness(numpy_rng(2), torch_rng(2))
         ends = [gaussian_sweeps(fresh(), m, state, 1) for m in (some, other, model)]
         assert fingerprint(ends[0]) == fingerprint(ends[1]) != fingerprint(ends[2])
 
@@ -135,6 +142,22 @@ def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):
         assert fingerprint(gaussian_sweeps(resumed, other, saved, 1)) == fingerprint(straight)
 
 
+def test_the_configuration_knows_every_sampler():
+    assert get_args(Sample.model_fields["method"].annotation) == tuple(SAMPLERS)
+
+
+def test_what_refinement_must_know_of_a_sampler_has_no_default(tmp_path):
+    """One that does not say whether it drew the light's scale is no sampler, and has no draw."""
+    with pytest.raises(TypeError, match="scale_drawn"):
+        Sampler(SAMPLERS["map"].draw, looks_at_the_light=True)
+    with pytest.raises(InputError, match="draw.json"):
+        DrawFacts.load(tmp_path)
+    for one in SAMPLERS.values():
+        DrawFacts(one.scale_drawn).save(tmp_path)
+        assert DrawFacts.load(tmp_path).scale_drawn == one.scale_drawn
+    assert [name for name in SAMPLERS if SAMPLERS[name].scale_drawn] == ["split_gibbs", "gaussian"]
+
+
 @pytest.mark.parametrize("name", list(SAMPLERS))
 def test_sampler_explains_the_photos_from_its_seed(problem, start, name):
     """A draw in between must not matter, another seed must, and the median pixel is right to 15 %
@@ -149,4 +172,4 @@ def test_sampler_explains_the_photos_from_its_seed(problem, start, name):
     assert a.light.shape == (32, 64, 3) and a.base_color.max() <= 1
     assert (name == "map") == np.array_equal(a.light, b.light)
     if name in ("split_gibbs", "gaussian", "map"):  # eight guided steps are too few for the others
-        assert error(problem, a) < 0.15
+        assert median_error(problem, a) < 0.15

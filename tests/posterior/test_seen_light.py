@@ -18,6 +18,7 @@ from pipeline.render.metrics import light_psnr
 from pipeline.render.surroundings import SIGHT_ROWS, Sightings, Surroundings
 from tests.posterior.split_gibbs.conftest import light, rows, with_data  # noqa: F401
 from tests.render.test_transport import bowl, scene, transport  # noqa: F401  (fixtures)
+from tests.seeds import numpy_rng, seeded, torch_rng
 
 
 def sighted(env: np.ndarray, where: np.ndarray, clip: float = np.inf) -> Sightings:
@@ -56,7 +57,7 @@ def test_seen_rows_are_part_of_the_expansion(with_sights, rows, light):  # noqa:
         by_row = r[c, n:].numpy()
         np.testing.assert_allclose(by_row, seen.residual(dim)[:, c], rtol=1e-5)
 
-    w = torch.randn(r.shape, generator=torch.Generator().manual_seed(0))
+    w = torch.randn(r.shape, generator=torch_rng(0))
     of_light, of_colors = with_sights.adjoint(dim, w)
     assert torch.allclose(of_light, torch.einsum("cnm,cn->cm", T, w), atol=1e-3)
     assert torch.allclose(of_colors, torch.einsum("cnr,cn->cr", V, w), atol=1e-3)
@@ -90,7 +91,7 @@ def test_gauge_is_bound_by_what_is_seen(rows, light):  # noqa: F811
     seen = SeenLight.of(sighted(light.reshape(8, 16, 3), np.ones((64, 128), bool)), 8)
 
     def level(seed: int, **known) -> float:
-        rng = np.random.default_rng(seed)
+        rng = numpy_rng(seed)
         stay = lambda shift: 0.0 if not shift.any() else -np.inf
         return draw_gauge(rows.model, U, 0 * U, matt, 0.0, 0.0, stay, 200, rng, **known)[1]
 
@@ -111,7 +112,7 @@ def test_gauge_leaves_the_grounds_light_as_it_is(rows, light):  # noqa: F811
     model = SimpleNamespace(point_values=point_values, data=rows.data)
     ground = 0.25 * U, 0.5 * W
     everywhere = lambda shift: 0.0
-    rng = np.random.default_rng(1)
+    rng = numpy_rng(1)
     draw_gauge(model, U, W, rows.materials, 0.0, 0.0, everywhere, 12, rng, ground)
     ratios = [(a - ground[0]) / (U - ground[0]) for a, _ in asked]
     gains = [r.mean(0) for r in ratios]
@@ -130,5 +131,5 @@ def test_fit_recovers_a_light_better_that_it_sees(problem, start, toy):
     observations = copy.copy(problem.observations)
     observations.surroundings = Surroundings(None, sighted(table, upper))
     seeing = Problem(observations, problem.renderer, problem.roughness_min)
-    found, _ = fit(seeing, Fit(steps=40, pixels=1000, texture=32))
+    found, _ = fit(seeing, Fit(steps=40, pixels=1000, texture=32, seed=seeded(0)))
     assert light_psnr(found.light, truth) > light_psnr(start[0].light, truth) + 0.5

@@ -4,10 +4,11 @@ import numpy as np
 
 from pipeline.posterior.shading import regress, shade, split_picture
 from pipeline.posterior.textures import gather
+from tests.seeds import numpy_rng
 
 
 def test_regression_follows_what_is_linear_in_the_guide():
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     at = rng.uniform(-0.5, 7.5, (4000, 2))
     guide = rng.normal(size=(4000, 4))
     values = guide @ rng.normal(size=(4, 6)) + 3
@@ -17,7 +18,7 @@ def test_regression_follows_what_is_linear_in_the_guide():
 
 
 def test_flat_cells_take_the_mean_and_empty_ones_their_neighbours():
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     at = rng.uniform(-0.5, 3.4, (2000, 2))
     guide = np.ones((2000, 4))
     values = rng.normal(2, 0.5, (2000, 1))
@@ -30,7 +31,7 @@ def test_interpolated_shading_is_that_of_many_paths(problem, start):
     """A quarter of the pixels with two paths each, against 64 paths through some pixels."""
     explanation = start[0].copy()
     explanation.base_color.clip(0.02, None, out=explanation.base_color)
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     shading = shade(problem, explanation, len(problem.observations) // 4, rng)
 
     some = np.arange(0, len(problem.observations), 9)

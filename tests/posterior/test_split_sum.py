@@ -20,6 +20,7 @@ from pipeline.posterior.samplers import SAMPLERS
 from pipeline.prior.load import load_prior
 from pipeline.render.envmap import directions
 from pipeline.render.renderer import Explanation, Renderer
+from tests.seeds import numpy_rng, seeded
 
 
 def material(roughness: float, metallic: float, light: np.ndarray) -> Explanation:
@@ -39,7 +40,7 @@ def tensors(x: Explanation) -> dict[str, torch.Tensor]:
 
 
 def batch_of(problem: Problem):
-    return problem.batch(300, 2, np.random.default_rng(0))
+    return problem.batch(300, 2, numpy_rng(0))
 
 
 def pictures(problem: Problem, x: Explanation) -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +53,7 @@ def pictures(problem: Problem, x: Explanation) -> tuple[np.ndarray, np.ndarray]:
 
     direct = with_direct_light(problem).renderer
     direct.set(x)
-    traced = [direct.radiance(o[k % 2], d[k % 2], k) for k in range(256)]
+    traced = [direct.radiance(o[k % 2], d[k % 2], seeded(k)) for k in range(256)]
     return ours.numpy(), np.mean(traced, axis=0)
 
 
@@ -91,8 +92,8 @@ def test_a_convex_object_looks_as_path_traced(problem, roughness, metallic):
 def test_gradient_is_a_difference(problem):
     x = material(0.4, 0.3, smooth_light())
     split, batch = with_split_sum(problem), batch_of(problem)
-    gradient = split.gradient(x, batch, 0)
-    rng = np.random.default_rng(2)
+    gradient = split.gradient(x, batch, seeded(0))
+    rng = numpy_rng(2)
     for name, size in (
         ("light", 0.2),
         ("base_color", 0.05),
@@ -104,7 +105,7 @@ def test_gradient_is_a_difference(problem):
         for sign in (-1, 1):
             moved = x.copy()
             setattr(moved, name, getattr(x, name) + sign * 0.05 * size * way)
-            ends.append(split.gradient(moved, batch, 0).loss)
+            ends.append(split.gradient(moved, batch, seeded(0)).loss)
         slope = float((getattr(gradient, name) * way).sum())
         assert slope == pytest.approx((ends[1] - ends[0]) / (0.1 * size), rel=0.05), name
 
@@ -119,7 +120,9 @@ def test_direct_light_is_the_same_problem_without_bounces(problem):
 
 @pytest.mark.parametrize("name", ["direct_light", "split_sum"])
 def test_samplers_explain_the_photos_better_than_where_they_begin(problem, start, name):
-    settings = Sample(prior="prior_tiny", light=16, steps=25, pixels=400, spp=2, texture=32)
+    settings = Sample(
+        prior="prior_tiny", light=16, steps=25, pixels=400, spp=2, texture=32, seed=seeded(0)
+    )
     bare = Problem(problem.observations, Renderer(problem.renderer.mesh, 32, 16, 3), 0.1)
     begin = material(0.5, 0.05, np.full((32, 64, 3), start[0].light.mean()))
     x, facts = SAMPLERS[name](bare, load_prior("prior_tiny"), begin, settings, 0)

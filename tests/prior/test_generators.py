@@ -18,6 +18,7 @@ from pipeline.prior.training.made_lights import MadeLights, make_lights, views_o
 from pipeline.prior.value_code import Code
 from pipeline.prior.weight_files import save_parts
 from pipeline.render.envmap import directions, solid_angles
+from tests.seeds import numpy_rng, seeded, torch_rng
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 NAMES = ("gan_latent", "equivariant_field")
@@ -37,7 +38,7 @@ def slopes(count: int, rng: np.random.Generator) -> torch.Tensor:
 
 def test_a_field_turns_with_its_latents():
     """By any angle: here by a quarter, and by what is no whole number of columns."""
-    torch.manual_seed(0)
+    torch.manual_seed(seeded(0))
     field = EquivariantField(CODE, count=7, hidden=16, layers=3)
     z = torch.randn(1, *field.latents)
     d = torch.from_numpy(directions(8, 16)).float().reshape(1, -1, 3)
@@ -51,8 +52,8 @@ def test_a_field_turns_with_its_latents():
 
 def test_training_teaches_a_field_its_maps():
     """Each map's own latents give it back, where the mean map leaves half of its variance."""
-    codes = slopes(12, np.random.default_rng(0)).numpy()
-    torch.manual_seed(0)
+    codes = slopes(12, numpy_rng(0)).numpy()
+    torch.manual_seed(seeded(0))
     field = EquivariantField(CODE, count=4, hidden=32, layers=3)
     latents = fit(field, codes, np.arange(150) / 150)
     with torch.no_grad():
@@ -64,10 +65,10 @@ def test_training_teaches_a_field_its_maps():
 
 def test_training_brings_what_a_generator_draws_to_the_lights():
     """Mean by latitude, and how far maps are from it; both are far off before."""
-    lights = MadeLights(slopes(200, np.random.default_rng(0)), CODE)
+    lights = MadeLights(slopes(200, numpy_rng(0)), CODE)
     rows = lights.codes.mean((0, 1, 3))
     spread = float((lights.codes - rows[:, None]).std())
-    torch.manual_seed(0)
+    torch.manual_seed(seeded(0))
     generator = AdversarialGenerator(CODE, channels=(16, 16))
     z = torch.randn(100, *generator.latents)
 
@@ -84,7 +85,7 @@ def test_training_brings_what_a_generator_draws_to_the_lights():
 
 def test_the_critics_slope_counts_at_true_lights_alone():
     """R1 of a critic that is linear in one pixel: half its squared slope."""
-    torch.manual_seed(0)
+    torch.manual_seed(seeded(0))
     critic = Critic((8, 8))
     true, made = torch.randn(2, 4, 3, 8, 16)
     plain, with_slope = (critic_loss(critic, true.clone(), made, s) for s in (False, True))
@@ -108,7 +109,7 @@ def test_lights_are_made_once_and_others_refused(tmp_path):
     assert lights.codes.shape == (6, 3, 8, 16)
     assert float(lights.codes.mean()) == pytest.approx(0, abs=1e-5)
     assert float(lights.codes.std()) == pytest.approx(0.5, abs=0.02)
-    assert lights.turned(5, np.random.default_rng(0)).shape == (5, 3, 8, 16)
+    assert lights.turned(5, numpy_rng(0)).shape == (5, 3, 8, 16)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -117,7 +118,7 @@ def test_committed_generators_draw_lights_that_differ(name):
     latents as far from 0 as those of the maps that it was trained on."""
     assert sum(file.stat().st_size for file in generator_files(name)) <= 2**20
     generator = load_generator(name)
-    noise = torch.Generator().manual_seed(0)
+    noise = torch_rng(0)
     z = DEVIATION[name] * torch.randn((32, *generator.latents), generator=noise)
     codes = generator.codes(z, 32)
     assert codes.shape == (32, 3, 32, 64)
@@ -135,7 +136,7 @@ def test_a_network_of_other_rows_is_refused():
 
 def test_generators_are_read_back_and_other_files_named(tmp_path: Path, monkeypatch):
     monkeypatch.setattr(locate, "GENERATORS", tmp_path)
-    torch.manual_seed(0)
+    torch.manual_seed(seeded(0))
     field = EquivariantField(CODE, count=3, hidden=8, layers=2)
     facts = {"format": "equivariant", "mean": 0.0, "std": 1.0, "shape": field.shape}
     save_parts(dict(field.state_dict()), facts, tmp_path / "mine.safetensors")

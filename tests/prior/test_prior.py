@@ -17,10 +17,11 @@ from pipeline.prior.schedule import T, posterior, sigma, subsequence
 from pipeline.prior.training.procedural import night, outdoor
 from pipeline.prior.value_code import Code, scale_of
 from pipeline.render.envmap import mean_radiance, solid_angles
+from tests.seeds import numpy_rng, seeded, torch_rng
 
 
 def lights():
-    rng = np.random.default_rng(3)
+    rng = numpy_rng(3)
     yield from (f(rng, 16, 32) for f in (outdoor, night, outdoor))
     sun = np.full((16, 32, 3), 0.2)
     sun[5, 7] = 20000
@@ -39,7 +40,7 @@ def test_code_keeps_energy_and_peaks():
 
 def test_network_has_no_seam():
     """Rolling the input by any number of columns that the pooling allows rolls the output."""
-    torch.manual_seed(0)
+    torch.manual_seed(seeded(0))
     net = Denoiser(channels=(8, 16, 16), blocks=(1, 1, 1), embedding=16).eval()
     for p in net.parameters():
         torch.nn.init.normal_(p, std=0.1)
@@ -73,9 +74,9 @@ def test_levels_run_from_last_to_first():
 
 def test_trained_prior_removes_noise_better_than_doing_nothing():
     prior = load_prior("prior_small")
-    light = outdoor(np.random.default_rng(11), prior.height, prior.width)
+    light = outdoor(numpy_rng(11), prior.height, prior.width)
     x = prior.encode(light / scale_of(light))
-    torch.manual_seed(0)
+    torch.manual_seed(seeded(0))
     noisy = x + sigma(300) * torch.randn_like(x)
     with torch.no_grad():
         clean = prior.denoise(noisy, sigma(300))
@@ -97,9 +98,9 @@ def test_wrong_weights_are_named(tmp_path):
 
 def test_classes_come_in_their_shares():
     shares = {"indoor": 0.2, "outdoor": 0.5, "night": 0.3}
-    ten = classes(shares, 10, np.random.default_rng(0))
+    ten = classes(shares, 10, numpy_rng(0))
     assert [ten.count(name) for name in shares] == [2, 5, 3]
-    eleven = classes(shares, 11, np.random.default_rng(0))
+    eleven = classes(shares, 11, numpy_rng(0))
     assert len(eleven) == 11 and all(
         abs(eleven.count(name) - 11 * share) < 1 for name, share in shares.items()
     )
@@ -108,7 +109,7 @@ def test_classes_come_in_their_shares():
 def test_noise_is_denoised_class_by_class():
     prior, x = (
         load_prior("prior_small"),
-        torch.randn(2, 3, 32, 64, generator=torch.Generator().manual_seed(0)),
+        torch.randn(2, 3, 32, 64, generator=torch_rng(0)),
     )
     both = prior.denoise(x, 2.0, ["night", None])
     assert torch.allclose(both[:1], prior.denoise(x[:1], 2.0, "night"), atol=1e-4)
@@ -129,11 +130,9 @@ class Shrinking:
 
 @pytest.mark.parametrize("churn", [0.0, 0.5, 1.0])
 def test_reverse_diffusion_draws_the_prior_with_any_churn(churn):
-    noise = torch.Generator().manual_seed(0)
+    noise = torch_rng(0)
     z = 20 * torch.randn(400, 3, 4, 8, generator=noise)
-    x = reverse_diffusion(
-        Shrinking(), z, 20.0, 40, "class", np.random.default_rng(0), noise, churn=churn
-    )
+    x = reverse_diffusion(Shrinking(), z, 20.0, 40, "class", numpy_rng(0), noise, churn=churn)
     assert abs(float(x.mean()) - 1) < 0.03 and abs(float(x.std()) - 0.5) < 0.03
 
 

@@ -16,6 +16,7 @@ from pipeline.render.light_metrics import (
 )
 from pipeline.render.map_metrics import map_errors
 from pipeline.render.metrics import psnr
+from tests.seeds import numpy_rng
 
 
 def lamp(direction, h: int = 32, width: float = 8.0) -> np.ndarray:
@@ -27,7 +28,7 @@ def lamp(direction, h: int = 32, width: float = 8.0) -> np.ndarray:
 
 def test_noise_of_both_renders_drops_out():
     """A picture that is right but for noise scores as its systematic error alone."""
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     shape = (200, 200, 3)
     noisy = lambda level: srgb_to_linear(np.full(shape, level) + 0.02 * rng.normal(size=shape))
     score = psnr(noisy(0.51), noisy(0.5), None, noisy(0.51), noisy(0.5))
@@ -36,7 +37,7 @@ def test_noise_of_both_renders_drops_out():
 
 
 def test_albedo_errors_follow_their_scale_rules():
-    rng = np.random.default_rng(1)
+    rng = numpy_rng(1)
     true = rng.uniform(0.1, 0.9, (500, 3))
     grey = rng.random(500)
     truth = {"albedo": true, "roughness": grey, "metallic": 0 * grey}
@@ -97,7 +98,7 @@ def test_ssim_of_constants_in_closed_form():
 
 
 def test_crps_is_its_double_sum_and_that_of_a_normal():
-    rng = np.random.default_rng(2)
+    rng = numpy_rng(2)
     draws, truth = rng.normal(size=(7, 5)), rng.normal(size=5)
     pairs = np.abs(draws[:, None] - draws).sum((0, 1)).mean() / (7 * 6)
     assert crps(draws, truth) == pytest.approx(np.abs(draws - truth).mean() - 0.5 * pairs)
@@ -110,7 +111,7 @@ def test_crps_is_its_double_sum_and_that_of_a_normal():
 
 
 def test_coverage_and_variance_of_draws_from_the_truth():
-    rng = np.random.default_rng(3)
+    rng = numpy_rng(3)
     for count in (3, 9, 19):
         held = coverage(3 * rng.normal(size=(count, 20000)), 3 * rng.normal(size=20000))
         for nominal in (0.5, 0.8, 0.95):

@@ -22,6 +22,7 @@ from pipeline.render.transport import Transport
 from tests.conftest import bumpy_normals
 from tests.render.test_renderer import explanation, rays_at_ball
 from tests.render.test_transport import MATERIALS, seen, traced, uniform
+from tests.seeds import seeded
 
 degrees_between = lambda a, b: np.degrees(np.arccos(np.clip((unit(a) * unit(b)).sum(1), -1, 1)))
 
@@ -90,12 +91,12 @@ def test_a_flat_map_changes_nothing(bumpy, without_map):
     x = explanation()
     renderer = Renderer(without_map, 8, 8, 3)
     renderer.set(x)
-    plain = renderer.radiance(*rays, 1)
+    plain = renderer.radiance(*rays, seeded(1))
 
     write_normal_map(without_map.with_name("normal.png"), np.broadcast_to([0, 0, 1.0], (16, 16, 3)))
     mapped = Renderer(without_map, 8, 8, 3)
     mapped.set(x)
-    assert np.allclose(mapped.radiance(*rays, 1), plain, rtol=1e-2, atol=1e-3)
+    assert np.allclose(mapped.radiance(*rays, seeded(1)), plain, rtol=1e-2, atol=1e-3)
 
 
 def test_gradients_reach_the_maps_below_a_normal_map(bumpy):
@@ -116,7 +117,7 @@ def test_operator_equals_path_tracer_with_a_map(bumpy, without_map, tmp_path, r,
     mesh = bumpy / "mesh_uv.ply"
     observations = seen(mesh, 3, 1.2, tmp_path)
     renderer = Renderer(mesh, 32, 16, 2)
-    patches = choose_rows(observations, renderer.scene, 60, 3, 0)
+    patches = choose_rows(observations, renderer.scene, 60, 3, seeded(0))
     rows = Rows(patches.observation, patches.point)
     light = smooth_light()
     predicted = lambda path: operator(path, observations, rows, light, r, m, a)
@@ -132,6 +133,6 @@ def test_operator_equals_path_tracer_with_a_map(bumpy, without_map, tmp_path, r,
 def operator(mesh, observations, rows, light, r, m, a):
     """Radiance (n, 3) of the rows by the operator on `mesh`, direct light only."""
     scene = Renderer(mesh, 8, 8, 2).scene
-    transport = Transport(scene, mesh, observations, rows, 16, 20, 0)
+    transport = Transport(scene, mesh, observations, rows, 16, 20, seeded(0))
     U, W = mix(transport.at(r, 1)[0] @ light.reshape(-1, 3), m)
     return a * U + W

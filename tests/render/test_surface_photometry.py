@@ -15,11 +15,12 @@ from pipeline.render.surface_photometry import (
     variance_left,
 )
 from tests.photos.test_turntable import sightings
+from tests.seeds import numpy_rng
 
 
 def table_of(views, kind, points=6000) -> dict[str, np.ndarray]:
     """Observations of a sphere by `sightings`, with texture coordinates by longitude and height."""
-    xyz, level = sightings(views, kind, np.random.default_rng(0), points)
+    xyz, level = sightings(views, kind, numpy_rng(0), points)
     view, point = np.nonzero(np.isfinite(level))
     normal = xyz[point] / 0.4
     longitude = np.arctan2(normal[:, 0], normal[:, 2]) / (2 * np.pi) + 0.5
@@ -89,7 +90,7 @@ def test_cells_are_means_of_what_can_be_used():
 
 def test_jitter_is_found_and_divided_out(views):
     """Gains of photos, far from those that shading makes, come back to a few hundredths."""
-    rng = np.random.default_rng(1)
+    rng = numpy_rng(1)
     table = table_of(views, "rests glossy")
     jitter = 1.5 * rng.normal(size=(16, 1)) + 0.7 * rng.normal(size=(16, 3))
     jitter -= jitter.mean(0)

@@ -16,6 +16,7 @@ from pipeline.render.surroundings import SIGHT_ROWS, Ground, Sightings, Surround
 from pipeline.render.transport import Transport
 from tests.conftest import look_at
 from tests.render.test_transport import seen, traced, uniform
+from tests.seeds import numpy_rng, seeded
 
 HEIGHT = -0.55
 
@@ -23,7 +24,7 @@ HEIGHT = -0.55
 @pytest.fixture(scope="module")
 def ground() -> Ground:
     """A patchy ground below the ball, brighter on one side, with a corner missing."""
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     radiance = rng.uniform(0.1, 2, (16, 16, 3)).astype(np.float32)
     radiance[:8] *= 3
     known = np.ones((16, 16), bool)
@@ -46,11 +47,13 @@ def test_rows_on_a_ground_are_those_of_the_path_tracer(
 ):
     """T x + b against path-traced patches; without the ground's part they are far off."""
     observations = seen(ball / "mesh_uv.ply", 3, 1.2, tmp_path)
-    light = np.random.default_rng(1).uniform(0.2, 1, (8, 16, 3)).astype(np.float32)
+    light = numpy_rng(1).uniform(0.2, 1, (8, 16, 3)).astype(np.float32)
     light[2, 5] = 12
     renderer = Renderer(ball / "mesh_uv.ply", 32, 8, 4, ground)
-    rows = choose_rows(observations, renderer.scene, 50, 3, 0)
-    transport = Transport(renderer.scene, renderer.mesh, observations, rows, 8, 20, 0, 0.0, ground)
+    rows = choose_rows(observations, renderer.scene, 50, 3, seeded(0))
+    transport = Transport(
+        renderer.scene, renderer.mesh, observations, rows, 8, 20, seeded(0), 0.0, ground
+    )
     renderer.set(uniform(light, roughness, metallic, color))
     truth = traced(renderer, observations, rows, 512)
 
@@ -78,10 +81,10 @@ def test_light_behind_the_ground_does_not_shine_through(ball, tmp_path):
     )
     observations = seen(ball / "mesh_uv.ply", 3, 1.2, tmp_path)
     renderer = Renderer(ball / "mesh_uv.ply", 32, 8, 3, wide)
-    rows = choose_rows(observations, renderer.scene, 30, 3, 0)
-    F, _ = Transport(renderer.scene, renderer.mesh, observations, rows, 8, 9, 0, 0.0, wide).at(
-        0.8, 0
-    )
+    rows = choose_rows(observations, renderer.scene, 30, 3, seeded(0))
+    F, _ = Transport(
+        renderer.scene, renderer.mesh, observations, rows, 8, 9, seeded(0), 0.0, wide
+    ).at(0.8, 0)
     below = np.repeat(np.arange(8) >= 6, 16)
     assert F[0][:, below].sum() < 1e-6 * F[0].sum()
 
@@ -92,7 +95,7 @@ def test_cameras_do_not_see_the_ground(ball, ground):
     renderer.set(uniform(np.ones((8, 16, 3), np.float32), 0.5, 0.0, 0.5))
     origins = np.array([[1.0, 2, 0.5], [0, 2, 0]], np.float32)
     down = np.array([[0, -1, 0], [0, -1, 0]], np.float32)
-    radiance = renderer.radiance(origins, down, 0)
+    radiance = renderer.radiance(origins, down, seeded(0))
     assert (radiance[0] == 0).all()
     assert (radiance[1] > 0).all()
 

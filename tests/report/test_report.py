@@ -102,6 +102,18 @@ def test_page_is_whole_and_self_contained(work, tmp_path):
     assert "30.5 dB PSNR" in html and "hull" in html and "stereo found too little" in html
 
 
+def test_a_scene_of_which_nothing_was_held_out_says_so(work, tmp_path):
+    """`observe: {held_out: 0}`: every photo is in the asset."""
+    write_json(work / "observe" / "observe.json", {"held_out": []})
+    for k in range(2):
+        file = work / "refine" / str(k) / "refine.json"
+        write_json(file, {"held_out_psnr": None, "held_out_standard_error": None, "held_out": {}})
+    metrics = make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
+    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "none was held out: every photo is in the asset" in html and "used in the fit" in html
+    assert metrics["trust"] is None
+
+
 def test_warnings_are_on_the_page(work, tmp_path):
     make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
     html = (tmp_path / "a.html").read_text(encoding="utf-8")

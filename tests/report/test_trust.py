@@ -25,6 +25,7 @@ from pipeline.report.trust import (
     weighing,
 )
 from tests.report.test_report import SCENE, work  # noqa: F401  (fixture)
+from tests.seeds import numpy_rng
 
 GOOD = Evidence(agreement=27.0, explained=29.0, level=0.1, outline=0.98)
 MODEL = {
@@ -50,7 +51,7 @@ def test_agreement_is_the_psnr_between_draws(rng_pictures):
 
 @pytest.fixture
 def rng_pictures():
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     return rng.random((8, 8, 3)).astype(np.float32), np.ones((8, 8), bool)
 
 

@@ -6,8 +6,8 @@ import os
 import shlex
 import shutil
 import subprocess
+import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -175,6 +175,18 @@ def test_which_photos_are_for_scoring_is_part_of_what_capture_depends_on(project
     assert Scenes({}).order("s") != before and '["2", "test"]' in Scenes({}).order("s")
 
 
+@pytest.mark.parametrize("cameras", ["transforms", "model"])
+def test_cameras_given_after_a_run_make_capture_due(project, cameras):
+    """Before, it may have left out photos that the cameras name."""
+    before = Scenes({}).order("s")
+    if cameras == "transforms":
+        frames = [{"file_path": f"images/{k}.png"} for k in range(3)]
+        (project / "photos/transforms.json").write_text(json.dumps({"frames": frames}))
+    else:
+        (project / "photos/sparse/0").mkdir(parents=True)
+    assert Scenes({}).order("s") != before
+
+
 def test_sample_reads_every_part_of_both_priors(project):
     files = Scenes({"sample": {"prior": "prior_base"}}).priors("s")
     names = [Path(f).name for f in files]
@@ -188,7 +200,7 @@ def test_sample_reads_every_part_of_both_priors(project):
 
 def test_weights_in_the_project_are_named_from_there(project):
     """So that a project that was moved is not made again."""
-    shutil.copy(ROOT / "weights/gaussian_tiny.safetensors", project / "own.safetensors")
+    shutil.copy(ROOT / "weights/gaussian_small.safetensors", project / "own.safetensors")
     scenes = Scenes({"sample": {"prior": f"{project}/own.safetensors"}})
     assert scenes.priors("s")[0] == "own.safetensors"
 
@@ -197,6 +209,40 @@ def test_a_network_for_masks_is_read_when_it_is_asked_for(project):
     network = {"onnx_model": "net.onnx"}
     assert Scenes({"masks": network | {"method": "onnx"}}).network("s") == ["net.onnx"]
     assert Scenes({"masks": network}).network("s") == []
+
+
+LATE = {
+    "light": ({"sample": {"light": 24}}, "sample.light: a light of 24 rows does not divide"),
+    "prior": ({"sample": {"prior": "prior_huge"}}, "there is no such prior"),
+    "rows": ({"sample": {"prior": "prior_tiny"}}, "of 32 rows does not divide the prior's 16"),
+    "search": ({"sample": {"search_prior": "prior_tiny"}}, "a Gaussian prior is asked for"),
+    "method": ({"sample": {"method": "gibs"}}, "sample.method"),
+    "label": ({"sample": {"label": "moon"}}, "no class 'moon'"),
+    "made": ({"sample": {"method": "gan_latent", "prior": "prior_tiny"}}, "a multiple of 32 rows"),
+    "network": ({"masks": {"method": "onnx"}}, "onnx_model must name"),
+}
+
+
+@pytest.mark.parametrize("wrong", LATE)
+def test_settings_that_do_not_fit_each_other_are_refused_before_the_first_job(project, wrong):
+    settings, message = LATE[wrong]
+    with pytest.raises(InputError, match=message):
+        Scenes(settings)("s")
+
+
+def test_asking_for_a_scene_loads_neither_torch_nor_mitsuba(project):
+    """The Snakefile is read for every job."""
+    code = (
+        "import sys; from pipeline.run.workflow import Scenes; Scenes({})('s'); print(*sys.modules)"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code],
+        text=True,
+        capture_output=True,
+        check=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert not {"torch", "mitsuba"} & set(ran.stdout.split())
 
 
 def test_missing_parts_and_other_formats_of_weights_are_refused(tmp_path):
@@ -316,15 +362,14 @@ def test_a_run_whose_driver_was_killed_is_counted_for_good(tmp_path, tool, monke
     job = "touch begun; while kill -0 $PPID; do sleep 0.01; done; "
     job = f"bash -c {shlex.quote(job + filled_in(tmp_path, 's', []))}"
     driver = f"{job} & until [ -e begun ]; do sleep 0.01; done; kill -9 $$"
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    assert subprocess.run(["bash", "-c", driver], cwd=tmp_path, **quiet).returncode == -9
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with subprocess.Popen(["bash", "-c", driver], cwd=tmp_path, **pipes) as driving:
+        assert driving.wait() == -9
+        driving.stdout.read()  # its end is that of the job that is left
 
     mark = tmp_path / "work" / "s" / ".unfinished" / "fit"
-    log = tmp_path / "work" / "s" / "logs" / "fit.log"
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline and not (log.exists() and log.read_text()):
-        time.sleep(0.01)
-    assert run_command(tmp_path, "s", []).returncode == 0  # has waited for the other's end
+    assert (tmp_path / "work" / "s" / "logs" / "fit.log").read_text()
+    assert run_command(tmp_path, "s", []).returncode == 0
     assert unfinished_runs("s", "fit") == 1 == mark.stat().st_size
 
 
@@ -402,8 +447,10 @@ def test_results_of_a_clock_that_has_gone_back_are_from_now(project):
 
     Scenes({})("s")
     assert all(file.stat().st_mtime == pytest.approx(tomorrow) for file in files)
+    before = time.time()
     Scenes({}, exclusive=lambda: True)("s")
-    assert all(abs(file.stat().st_mtime - time.time()) < 60 for file in files)
+    of_the_disk = 1  # seconds by which its clock, of coarser ticks, may be behind
+    assert all(before - of_the_disk < f.stat().st_mtime <= time.time() for f in files)
     assert all(file.stat().st_mtime == pytest.approx(tomorrow) for file in others)
 
 
@@ -414,13 +461,14 @@ def test_a_job_waits_for_its_like_that_a_killed_run_has_left_at_work(tmp_path, t
     mark = tmp_path / "work" / "s" / ".unfinished" / "fit"
     mark.parent.mkdir(parents=True)
     left = lock(mark)
-    with ThreadPoolExecutor() as pool:
-        waiting = pool.submit(run_command, tmp_path, "s", [])
-        with pytest.raises(TimeoutError):
-            waiting.result(timeout=0.5)
+    shell = filled_in(tmp_path, "s", [])
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(["bash", "-c", shell], cwd=tmp_path, **pipes) as waiting:
+        assert WAITS in waiting.stderr.readline()
+        assert not (tmp_path / "work" / "s" / "logs" / "fit.log").exists()
         left.close()
-        done = waiting.result(timeout=60)
-    assert done.returncode == 0 and WAITS in done.stderr
+    assert waiting.returncode == 0
+    assert (tmp_path / "work" / "s" / "logs" / "fit.log").read_text()
 
 
 def test_only_one_run_of_a_scene_at_a_time(tmp_path):
@@ -445,3 +493,14 @@ def test_a_mistyped_scene_leaves_nothing_behind(project):
     with pytest.raises(InputError, match="no such configuration"):
         Scenes({}, exclusive=lambda: True)("nowhere")
     assert not os.path.exists("work")
+
+
+def test_every_rule_states_its_memory_and_what_draws_is_on_one_thread():
+    """Sums of floats in any order would make every draw another."""
+    text = (ROOT / "Snakefile").read_text(encoding="utf-8")
+    rules = {part.split(":")[0]: part for part in text.split("\nrule ")[1:]}
+    assert set(STAGES) <= set(rules)
+    for name in STAGES:
+        assert "\n        mem_mb=" in rules[name], name
+    for name in ("fit", "sample", "refine"):
+        assert "threads: 2" not in rules[name], name

@@ -19,6 +19,7 @@ from pipeline.surface.atlas import make_atlas, unwrap
 from pipeline.surface.bake import bake, filtered_normals, make_normal_map
 from pipeline.surface.raster import texel_faces
 from tests.conftest import sphere
+from tests.seeds import numpy_rng
 
 degrees_between = lambda a, b: np.degrees(np.arccos(np.clip((unit(a) * unit(b)).sum(1), -1, 1)))
 
@@ -31,7 +32,7 @@ def looked_up(folder, count=4000):
     image = read_normal_map(folder / "normal.png") * 2 - 1
     face, weight = texel_faces(mesh, len(image))
     rows, columns = np.nonzero(face >= 0)
-    chosen = np.random.default_rng(0).choice(len(rows), count)
+    chosen = numpy_rng(0).choice(len(rows), count)
     rows, columns = rows[chosen], columns[chosen]
     corners, weight = mesh.faces[face[rows, columns]], weight[rows, columns]
     blend = lambda values: np.einsum("kc,kcx->kx", weight, values[corners])
@@ -79,7 +80,7 @@ def test_the_back_of_a_thin_part_is_not_taken_for_its_front():
 def test_filter_takes_noise_and_leaves_edges():
     """A ball's normals tilted by 6 degrees per axis; and two plates that meet at right angles."""
     ball = sphere(5)
-    noise = np.radians(6) * np.random.default_rng(0).normal(size=ball.normals.shape)
+    noise = np.radians(6) * numpy_rng(0).normal(size=ball.normals.shape)
     noisy = Mesh(ball.vertices, ball.faces, unit(ball.normals + noise))
     before = np.median(degrees_between(noisy.normals, ball.normals))
     assert np.median(degrees_between(filtered_normals(noisy), ball.normals)) < 0.4 * before
@@ -142,7 +143,7 @@ def test_frames_agree_with_mikktspace(bumpy):
     Blender and glTF leave normal and tangent unnormalised between vertices.
     """
     mesh = load_mesh(bumpy / "mesh_uv.ply")
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     face = rng.integers(len(mesh.faces), size=5000)
     weight = rng.dirichlet([1, 1, 1], 5000)
     blend = lambda values: np.einsum("kc,kcx->kx", weight, values[mesh.faces[face]])
@@ -163,7 +164,7 @@ def test_frames_agree_with_mikktspace(bumpy):
 
 
 def test_sixteen_bits_survive_the_disk(tmp_path):
-    normals = unit(np.random.default_rng(0).normal(size=(64, 3)) + [0, 0, 3]).reshape(8, 8, 3)
+    normals = unit(numpy_rng(0).normal(size=(64, 3)) + [0, 0, 3]).reshape(8, 8, 3)
     write_normal_map(tmp_path / "normal.png", normals)
     assert np.abs(read_normal_map(tmp_path / "normal.png") * 2 - 1 - normals).max() < 2 / 65535
     (tmp_path / "normal.png").write_bytes(b"no picture")

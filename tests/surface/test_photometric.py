@@ -13,6 +13,7 @@ from pipeline.surface.photometric import Refinement, _at_size, affordable, refin
 from pipeline.surface.plate import umbrella
 from pipeline.surface.zbuffer import Crop, z_buffer
 from tests.conftest import look_at
+from tests.seeds import numpy_rng
 
 SIZE = 96
 RADIUS = 0.5
@@ -43,7 +44,7 @@ def points_on_ball(view):
 
 def texture(p):
     """A pattern without edges, waves of about six pixels."""
-    rng = np.random.default_rng(3)
+    rng = numpy_rng(3)
     waves = 45 * rng.normal(size=(12, 3))
     waves /= np.maximum(np.linalg.norm(waves, axis=1, keepdims=True) / 45, 1)
     value = np.sin(p @ waves.T + rng.uniform(0, 6, 12)).sum(-1)
@@ -93,7 +94,7 @@ def test_plain_ball_gets_no_worse():
     """One colour and weak noise: the photos know nothing of the surface."""
     mesh = bumpy_ball()
     views = cameras()
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     noisy = [
         p + rng.normal(0, 0.003, p.shape) for p in photos(views, lambda p: p[..., 0] * 0 + 0.5)
     ]

@@ -15,6 +15,7 @@ from pipeline.surface.field import hull_of
 from pipeline.surface.fusion import coarse_hull, fuse, silhouettes_of
 from pipeline.surface.given import given_mesh
 from pipeline.surface.raster import rasterize
+from tests.seeds import numpy_rng
 
 
 def silhouettes(views, radius=0.5):
@@ -143,9 +144,14 @@ def test_overlapping_uvs_are_unwrapped_anew_and_good_ones_kept(tmp_path, ball):
     save_mesh(tmp_path / "good.ply", mesh)
     save_mesh(tmp_path / "bad.ply", Mesh(mesh.vertices, mesh.faces, mesh.normals, mesh.uv % 0.3))
     (tmp_path / "a").mkdir(), (tmp_path / "b").mkdir()
-    assert make_atlas(tmp_path / "good.ply", tmp_path / "a", Atlas(resolution=64))["charts"] is None
+    good = make_atlas(tmp_path / "good.ply", tmp_path / "a", Atlas(resolution=64))
+    assert good["charts"] is None and "own UVs" in good["packed_by"]
     found = make_atlas(tmp_path / "bad.ply", tmp_path / "b", Atlas(resolution=64))
-    assert found["charts"] and "overlap" in found["why"] and found["overlap"] < 0.01
+    assert found["charts"] and "overlap" in found["why"] and found["overlap"] == 0
+    assert found["packed_by"].startswith("xatlas") and found["mirrored"] == 0
+    tight = make_atlas(tmp_path / "bad.ply", tmp_path / "b", Atlas(resolution=64, packer="tight"))
+    assert tight["packed_by"] == "heliograph" and tight["overlap"] == tight["mirrored"] == 0
+    assert tight["charts"] == found["charts"] and tight["utilisation"] != found["utilisation"]
     kept = load_mesh(tmp_path / "a" / "mesh_uv.ply")
     assert np.allclose(kept.uv[kept.faces], mesh.uv[mesh.faces], atol=1e-5)
 
@@ -159,7 +165,7 @@ def test_wobble_of_normals_is_that_of_their_noise():
     unit = lambda v: v / np.linalg.norm(v, axis=1, keepdims=True)
     even = unit(np.asarray(ico.vertices))
     assert normal_wobble(Mesh(even, np.asarray(ico.triangles), even)) < np.radians(0.1)
-    tilted = unit(even + np.radians(4) * np.random.default_rng(0).normal(size=even.shape))
+    tilted = unit(even + np.radians(4) * numpy_rng(0).normal(size=even.shape))
     expected = np.radians(4) * np.sqrt(2 * np.log(2)) * np.sqrt(7 / 6)
     assert (
         abs(normal_wobble(Mesh(even, np.asarray(ico.triangles), tilted)) - expected)
@@ -173,7 +179,7 @@ def test_vertex_normals_of_a_triangle():
 
 def test_covering_triangles_are_counted_texel_by_texel():
     """Against the three edges' signs at every texel centre, some triangles beyond the square."""
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     uv = rng.uniform(-0.3, 1.3, (60, 2))
     faces = rng.integers(0, 60, (40, 3))
     u, v = np.meshgrid((np.arange(32) + 0.5) / 32, 1 - (np.arange(32) + 0.5) / 32)

@@ -12,11 +12,12 @@ from pipeline.usd.check import check
 from pipeline.usd.read import read_asset
 from pipeline.usd.write import export
 from tests.render.test_renderer import explanation
+from tests.seeds import numpy_rng, seeded
 
 
 def varied(seed: int) -> Explanation:
     """An explanation of which every map varies."""
-    rng = np.random.default_rng(seed)
+    rng = numpy_rng(seed)
     gloss = rng.random((2, 16, 16)).astype(np.float32)
     return replace(explanation(16, 8, seed=seed), roughness=gloss[0], metallic=gloss[1])
 
@@ -52,6 +53,16 @@ def test_validators_are_silent_and_users_files_untouched(exported):
         and check(out) == []
         and (out.parent / "users.txt").read_text() == "mine"
     )
+
+
+def test_the_light_is_in_the_photos_unit(tmp_path, ball):
+    """Under work/ 1 stands for the scene's white."""
+    varied(0).save(tmp_path / "refine")
+    out = tmp_path / "exports" / "s.usda"
+    out.parent.mkdir()
+    export(ball, [tmp_path / "refine"], out, {}, white=16.0)
+    asset = read_asset(out, "sample_0").explanation
+    assert np.array_equal(asset.light, 16 * varied(0).light)
 
 
 def test_variants_switch_light_and_every_map(exported):
@@ -202,7 +213,7 @@ def test_fit_and_export_agree_on_the_texture_frame(ball):
         base = np.broadcast_to(ramp[..., None], (16, 16, 3)).astype(np.float32).copy()
         renderer.set(Explanation(np.ones((8, 16, 3), np.float32), base, grey, 0 * grey))
         seen = np.mean(
-            [renderer.radiance(centre + out, -out, seed).mean(-1) for seed in range(8)], 0
+            [renderer.radiance(centre + out, -out, seeded(seed)).mean(-1) for seed in range(8)], 0
         )
         assert np.corrcoef(seen, uv[:, axis])[0, 1] > 0.9
 

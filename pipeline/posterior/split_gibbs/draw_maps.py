@@ -75,7 +75,6 @@ def facts(model: Model, state: State) -> dict:
     roughness = data.lobes.roughness
     return {
         "scale": float(np.exp(state.log_scale)),
-        "scale_drawn": True,
         "rows": len(data.rows.point),
         "points": len(data.region),
         "relative_error": state.noise.scale,

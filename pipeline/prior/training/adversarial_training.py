@@ -13,9 +13,10 @@ import torch.nn.functional as F
 from torch import nn
 
 from pipeline.base.progress import Bar
-from pipeline.prior.adversarial import ROWS, SLOPE, AdversarialGenerator
+from pipeline.prior.adversarial import SLOPE, AdversarialGenerator
 from pipeline.prior.network import Conv
 from pipeline.prior.training.made_lights import MadeLights
+from pipeline.prior.weight_facts import FIRST_ROWS
 
 BATCH = 16
 RATE = 2e-3  # of Adam, for both networks; falls to a tenth
@@ -36,7 +37,7 @@ class Critic(nn.Module):
         down = list(channels)[::-1]
         self.down = nn.ModuleList([Conv(a, b) for a, b in zip(down, down[1:])])
         self.last = Conv(channels[0] + 1, channels[0])
-        self.leave = nn.Linear(channels[0] * ROWS * 2 * ROWS, 1)
+        self.leave = nn.Linear(channels[0] * FIRST_ROWS * 2 * FIRST_ROWS, 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         n, _, h, w = x.shape

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from pipeline.base.progress import progress
-from pipeline.prior.network import LABELS
+from pipeline.prior.weight_facts import LABELS
 from pipeline.render.envmap import directions, solid_angles
 
 SUN_HALF_ANGLE = np.radians(0.2665)
@@ -171,8 +171,8 @@ def night(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
 
 
 def generate(count: int, height: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """`count` maps (n, h, 2h, 3) and labels as in `network.LABELS` (n,); map k depends on (seed, k)
-    alone.
+    """`count` maps (n, h, 2h, 3) and labels as in `weight_facts.LABELS` (n,); map k depends on
+    (seed, k) alone.
     """
     from pipeline.prior.training import rooms
 

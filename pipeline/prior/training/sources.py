@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError, nearest
 from pipeline.base.images import luminance, read_exr, read_png, srgb_to_linear
-from pipeline.prior.network import LABELS
+from pipeline.prior.weight_facts import LABELS
 from pipeline.render.envmap import check_lat_long
 
 MEASURED = (".exr", ".hdr")

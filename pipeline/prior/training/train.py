@@ -24,9 +24,10 @@ import torch
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import atomic_path
 from pipeline.prior.locate import part_paths
-from pipeline.prior.network import KINDS, LABELS, SIGMA_DATA, Denoiser
+from pipeline.prior.network import KINDS, SIGMA_DATA, Denoiser
 from pipeline.prior.training.data import Batches, Data, make_cache
 from pipeline.prior.training.settings import Training, load_training
+from pipeline.prior.weight_facts import LABELS
 from pipeline.prior.weight_files import load_parts, save_parts
 from pipeline.render.envmap import solid_angles
 

@@ -14,6 +14,7 @@ from pipeline.posterior.choose.light_rows import light_rows
 from pipeline.posterior.choose.texture_size import sampling_distance, texture_size
 from pipeline.render.observe import Tracer
 from tests.conftest import sphere
+from tests.seeds import numpy_rng
 
 
 def saved(folder, mesh):
@@ -26,7 +27,7 @@ def saved(folder, mesh):
 def test_a_convex_object_needs_direct_light_only(tmp_path):
     ball = sphere(3)
     seen = ball.vertices * 1.0001, ball.normals
-    depth, facts = path_vertices(saved(tmp_path, ball), ball, seen, 6, np.random.default_rng(0))
+    depth, facts = path_vertices(saved(tmp_path, ball), ball, seen, 6, numpy_rng(0))
     assert depth == 2
     assert facts["hemisphere_blocked_by_the_object"]["95%"] == 0
 
@@ -44,9 +45,9 @@ def test_inside_a_spherical_bowl_radiosity_is_known(tmp_path):
     seen = face, -face / np.linalg.norm(face, axis=1, keepdims=True)
 
     scene = saved(tmp_path, bowl)
-    depth, facts = path_vertices(scene, bowl, seen, 8, np.random.default_rng(0))
+    depth, facts = path_vertices(scene, bowl, seen, 8, numpy_rng(0))
     assert depth == 4  # .25 and .0625 are more than TOLERANCE, .0156 is less
-    assert path_vertices(scene, bowl, seen, 3, np.random.default_rng(0))[0] == 3
+    assert path_vertices(scene, bowl, seen, 3, numpy_rng(0))[0] == 3
     assert facts["hemisphere_blocked_by_the_object"]["mean"] == pytest.approx(0.5, abs=0.01)
     lost = facts["lost_share_by_max_depth"]
     for depth in (2, 3):
@@ -66,7 +67,7 @@ def test_ground_sampling_distance_is_the_area_of_a_pixel_on_the_atlas(ball, toy,
     area = np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]) / step**2
 
     mesh = load_mesh(ball / "mesh_uv.ply")
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     distance = sampling_distance(observations, problem.renderer.scene, mesh, rng)
     for share in (0.1, 0.5, 0.9):
         expected = np.quantile(np.sqrt(area), share)

@@ -21,6 +21,7 @@ from pipeline.posterior.dpi.score_distillation import sds
 from pipeline.posterior.problem import Problem
 from pipeline.prior.value_code import Code
 from pipeline.render.renderer import Explanation, Gradient
+from tests.seeds import numpy_rng, seeded
 
 H, W, TEXTURE, VIEWS, PIXELS, SPP = 4, 8, 8, 3, 16, 2
 CODES = 3 * H * W
@@ -35,7 +36,7 @@ class World:
     """
 
     def __init__(self, clipped_share: float = 0.2):
-        rng = np.random.default_rng(0)
+        rng = numpy_rng(0)
         n, texels = 60, TEXTURE**2
         self.T = rng.uniform(0, 2, (n, H * W)) / (H * W)
         self.P = rng.uniform(0, 1, (n, texels)) / texels
@@ -332,7 +333,14 @@ def distilled(world, settings, seed) -> dict:
 
 
 def settings(**changes) -> Sample:
-    base = {"steps": 20, "pixels": PIXELS, "spp": SPP, "texture": TEXTURE, "learning_rate": 0.02}
+    base = {
+        "steps": 20,
+        "pixels": PIXELS,
+        "spp": SPP,
+        "texture": TEXTURE,
+        "learning_rate": 0.02,
+        "seed": seeded(0),
+    }
     return Sample(**(base | changes))
 
 

@@ -11,6 +11,7 @@ from pipeline.posterior.split_gibbs.lobes import LobeTable
 from pipeline.posterior.split_gibbs.row_model import RowData
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
 from tests.render.test_transport import bowl, scene, transport  # noqa: F401  (fixtures)
+from tests.seeds import numpy_rng
 
 POINTS = 40
 
@@ -22,7 +23,7 @@ def with_data(rows: RowLikelihood, **changes) -> RowLikelihood:
 
 @pytest.fixture(scope="module")
 def rows(transport) -> RowLikelihood:  # noqa: F811
-    rng = np.random.default_rng(2)
+    rng = numpy_rng(2)
     n = len(transport.rows.point)
     observed = rng.uniform(0.1, 1.0, (n, 3))
     region = rng.integers(0, 2, POINTS)

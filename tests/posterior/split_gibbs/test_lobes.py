@@ -11,6 +11,7 @@ from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
 from pipeline.render.rows import choose_rows
 from pipeline.render.transport import Transport
 from tests.render.test_transport import traced, uniform
+from tests.seeds import numpy_rng, seeded
 
 
 def one_material(color: float, roughness: int, metallic: float) -> RegionMaterials:
@@ -28,9 +29,9 @@ def test_light_off_the_object_equals_the_path_tracers(bowl, step, m, a):
     its base colour says.
     """
     renderer, observations = bowl
-    light = np.random.default_rng(1).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
-    rows = choose_rows(observations, renderer.scene, 80, 3, 0)
-    transport = Transport(renderer.scene, renderer.mesh, observations, rows, 8, 40, 0)
+    light = numpy_rng(1).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
+    rows = choose_rows(observations, renderer.scene, 80, 3, seeded(0))
+    transport = Transport(renderer.scene, renderer.mesh, observations, rows, 8, 40, seeded(0))
     n = len(rows.point)
     # two of the metals are rougher than there are
     lobes = LobeTable.trace(transport, 0.1, 0, swallowed=1.0)
@@ -59,7 +60,7 @@ def test_lobes_between_the_traced_ones(transport, light):
     assert np.allclose(lobes.roughness[::BETWEEN], TRACED[2:])
     assert len(lobes.roughness) == 5 * BETWEEN + 1
 
-    nodes = np.random.default_rng(0).random((len(transport.node_position), 3))
+    nodes = numpy_rng(0).random((len(transport.node_position), 3))
     off = [0.5 * (a @ nodes + b @ nodes) for a, b in zip(lobes.off[1], lobes.off[2])]
     np.testing.assert_allclose(
         lobes.apply(light, nodes)[6],

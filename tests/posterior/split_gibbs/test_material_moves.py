@@ -44,6 +44,7 @@ from pipeline.posterior.split_gibbs.material_prior import (
 )
 from pipeline.posterior.split_gibbs.metropolis import accepted
 from pipeline.posterior.split_gibbs.state import RegionMaterials
+from tests.seeds import numpy_rng
 
 ROUGHNESS = (0.08, 0.12, 0.2, 0.3, 0.4, 0.55, 0.75, 1.0)
 # of eight roughness steps: no rough metals
@@ -129,9 +130,10 @@ def figures(draws: list[RegionMaterials], edges: np.ndarray) -> np.ndarray:
 @pytest.mark.slow
 def test_moves_leave_the_prior_as_it_is():
     """Every chain starts with a draw of the prior, and still is one after 8 jumps and 16 steps of
-    wide moves: to four deviations of each figure.
+    wide moves: to six deviations of each of the eight figures, of Student's t as 32 parts tell the
+    deviation, p < 1e-4.
     """
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     many, first = from_the_prior(40_000, rng), from_the_prior(1250, rng)
     seen, offsets, step = lobes_seen(), np.zeros((3, 2), int), np.full(2, 0.5)
 
@@ -151,7 +153,7 @@ def test_moves_leave_the_prior_as_it_is():
     parts = [figures(many[k : k + 1250], edges) for k in range(0, 40_000, 1250)]
     deviation = np.std(parts, axis=0, ddof=1)
     assert deviation.max() < 0.02
-    assert (np.abs(figures(last, edges) - exact) < 4 * deviation).all()
+    assert (np.abs(figures(last, edges) - exact) < 6 * deviation).all()
 
 
 def some_materials(regions: int, rng) -> RegionMaterials:
@@ -169,7 +171,7 @@ def test_prior_of_the_materials_is_students_t():
     two directions of their tint together, kinds together, metallic within its kind, roughness and
     spread each by itself.
     """
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     shape = (1 - COMMON) * np.eye(3) + COMMON
 
     def expected(t: RegionMaterials) -> float:
@@ -200,12 +202,12 @@ def test_prior_of_the_materials_is_students_t():
 
 def test_regions_are_accepted_one_after_the_other():
     """By Metropolis's rule on the prior of all colours together, times what speaks for each."""
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     for seed in range(50):
         now, new, gain = some_materials(4, rng), some_materials(4, rng), rng.normal(size=4)
-        found = accepted(now, new, gain, np.random.default_rng(seed))
+        found = accepted(now, new, gain, numpy_rng(seed))
         color, m = now.color.copy(), now.metallic.copy()
-        for r, threshold in enumerate(np.log(np.random.default_rng(seed).random(4))):
+        for r, threshold in enumerate(np.log(numpy_rng(seed).random(4))):
             other_color, other_m = color.copy(), m.copy()
             other_color[r], other_m[r] = new.color[r], new.metallic[r]
             ratio = log_joint_prior(other_color, other_m) - log_joint_prior(color, m)
@@ -218,7 +220,7 @@ def test_proposals_are_symmetric():
     """From a to b as often as from b to a, of roughness and metallic; steps of log colour and of
     spread as often up as down, whatever the place.
     """
-    rng, n = np.random.default_rng(0), 200_000
+    rng, n = numpy_rng(0), 200_000
     start = RegionMaterials(
         np.full((n, 3), 0.3), np.full(n, 0.3), rng.integers(8, size=n), rng.choice(METALLIC, n)
     )
@@ -230,22 +232,22 @@ def test_proposals_are_symmetric():
     often = np.triu(both >= 20, 1)
     assert often.sum() > 60
     z = (flow - flow.T)[often] / np.sqrt(both[often])
-    assert abs((z**2).mean() - 1) < 5 * np.sqrt(2 / often.sum()) and np.abs(z).max() < 4.5
+    assert abs((z**2).mean() - 1) < 5 * np.sqrt(2 / often.sum()) and np.abs(z).max() < 5
 
     steps = np.log(new.color / start.color)
     assert steps.std() > 0.2
     for column in (*steps.T, steps.sum(1)):
-        assert stats.kstest(column[::2], -column[1::2]).pvalue > 1e-3
+        assert stats.kstest(column[::2], -column[1::2]).pvalue > 1e-4 / 5
     moved = propose_spread(start, 8, rng, np.full(n, 0.5))
     spread = np.log(moved.spread / start.spread)
-    assert spread.std() > 0.2 and stats.kstest(spread[::2], -spread[1::2]).pvalue > 1e-3
+    assert spread.std() > 0.2 and stats.kstest(spread[::2], -spread[1::2]).pvalue > 1e-4 / 5
 
 
 def test_jumps_keep_what_the_photos_show():
     """The colour of the other kind is drawn about the one that sends what the photo shows; its
     density there and back is Student's t of log colour.
     """
-    rng, seen, offsets = np.random.default_rng(3), lobes_seen(), np.zeros((3, 2), int)
+    rng, seen, offsets = numpy_rng(3), lobes_seen(), np.zeros((3, 2), int)
     sent_over_shown, kinds = [], []
     for _ in range(400):
         now = replace(some_materials(2, rng), metallic=rng.choice([0.0, 1.0], 2))
@@ -335,20 +337,22 @@ def test_points_leave_their_region_where_the_photos_say_so():
     """
     targets = np.full(120, 4.0 * BETWEEN)
     targets[60::2] += 2 * BETWEEN
-    offset = drawn_offsets(targets, 10.0, np.random.default_rng(0))
+    offset = drawn_offsets(targets, 10.0, numpy_rng(0))
     assert (offset[0, :60] == 0).all()
     assert np.abs(offset[0, 60:] - (targets[60:] - 4 * BETWEEN)).mean() < 0.1
 
 
 def test_points_without_photos_follow_their_own_odds():
-    """Points that know nothing of each other: every label as often as its prior says."""
-    rng = np.random.default_rng(1)
+    """Points that know nothing of each other: every label as often as its prior says, to five
+    deviations.
+    """
+    rng = numpy_rng(1)
     drawn = np.concatenate([drawn_offsets(np.zeros(120), 0.0, rng) for _ in range(60)], 1)
     for row, labels in enumerate(OFFSETS):
         share = (drawn[row][:, None] == labels).mean(0)
         expected = np.exp(ALONE[row]) / np.exp(ALONE[row]).sum()
         deviation = np.sqrt(expected * (1 - expected) / drawn.shape[1])
-        assert (np.abs(share - expected) < 4 * deviation).all()
+        assert (np.abs(share - expected) < 5 * deviation).all()
 
 
 def test_offsets_stay_among_the_roughnesses_there_are_and_turn_kinds():

@@ -16,6 +16,7 @@ from pipeline.posterior.split_gibbs.normal_spread import (
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 from pipeline.render.principled_lobes import blurred_roughness
 from tests.render.test_transport import scene, transport  # noqa: F401  (fixtures)
+from tests.seeds import numpy_rng
 
 ROUGHNESS = np.array([0.1, 0.2, 0.3, 0.45])
 SPREADS = np.array([0.02, 0.06, 0.18])
@@ -60,7 +61,7 @@ def grey() -> RegionMaterials:
 
 def test_draws_have_the_joint_probability():
     """Roughness of region 0 and the spreads of its two points, against all combinations."""
-    model, rng = Curve(0.8), np.random.default_rng(0)
+    model, rng = Curve(0.8), numpy_rng(0)
     offsets = np.array([[0, 1, 0], [0, 0, 0], [1, 1, 1]])
     counts = np.zeros((4, 3, 3))
     for _ in range(6000):
@@ -91,7 +92,7 @@ def test_exact_normals_have_no_spread():
 
 def test_a_meshs_error_is_the_middle_of_the_spreads():
     """The median length of two deviates of .08 gives .08 back."""
-    tilts = np.linalg.norm(0.08 * np.random.default_rng(0).normal(size=(20000, 2)), axis=1)
+    tilts = np.linalg.norm(0.08 * numpy_rng(0).normal(size=(20000, 2)), axis=1)
     spreads = spreads_about(per_axis(float(np.median(tilts))))
     assert abs(spreads[len(spreads) // 2] / 0.08 - 1) < 0.02
     assert spreads[0] < 0.03 and spreads[-1] > 0.25

@@ -4,13 +4,14 @@ import numpy as np
 
 from pipeline.posterior.split_gibbs.regions import group, texel_regions
 from pipeline.posterior.split_gibbs.setup import EXPLAINED
+from tests.seeds import numpy_rng
 
 
 def test_regions_follow_the_base_colour_and_not_its_shade():
     """Three paints, each in light and shadow by a fifth, are three regions, on points and on
     texels.
     """
-    rng = np.random.default_rng(3)
+    rng = numpy_rng(3)
     paints = np.array([[0.6, 0.1, 0.1], [0.1, 0.5, 0.2], [0.4, 0.4, 0.5]])
     which = rng.integers(3, size=400)
     label, centers = group(paints[which] * rng.uniform(0.8, 1.2, (400, 1)))
@@ -25,7 +26,7 @@ def test_draws_differ_in_what_they_take_for_one_material():
     """The share of the spread that regions explain is drawn: four paints, two of them alike, are
     from two to four regions, never split oddly.
     """
-    rng = np.random.default_rng(5)
+    rng = numpy_rng(5)
     paints = np.array([[0.6, 0.1, 0.1], [0.5, 0.14, 0.1], [0.1, 0.5, 0.2], [0.15, 0.15, 0.6]])
     which = np.arange(400) % 4
     colours = paints[which] * rng.uniform(0.95, 1.05, (400, 1))

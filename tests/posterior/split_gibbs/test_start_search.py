@@ -13,6 +13,7 @@ from pipeline.posterior.split_gibbs.start_search import Search
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
 from pipeline.prior.value_code import Code
 from tests.posterior.split_gibbs.test_light_codes import smooth_prior
+from tests.seeds import numpy_rng, torch_rng
 
 
 def test_search_finds_the_material(rows, monkeypatch):
@@ -21,7 +22,7 @@ def test_search_finds_the_material(rows, monkeypatch):
     enough to be drawn for the rough one.)
     """
     monkeypatch.setattr(start_search, "ERROR", 0.03)
-    prior, rng = smooth_prior(8, Code(-0.4, 0.7)), np.random.default_rng(4)
+    prior, rng = smooth_prior(8, Code(-0.4, 0.7)), numpy_rng(4)
     truth = RegionMaterials(
         color=np.array([[0.6, 0.5, 0.4], [0.3, 0.3, 0.35]]),
         spread=np.full(2, 0.05),
@@ -32,7 +33,7 @@ def test_search_finds_the_material(rows, monkeypatch):
     made = RowLikelihood.at(Mixer(rows.data), noise, truth, rows.offsets)
 
     B, _ = prior.modes(60)
-    c = torch.randn(60, generator=torch.Generator().manual_seed(3))
+    c = torch.randn(60, generator=torch_rng(3))
     code = prior.flat_mean + torch.einsum("k,kcm->cm", c, B)
     light = prior.decode(code.reshape(1, 3, 8, 16)).reshape(3, -1).T.numpy().astype(float)
     U, W = made.predict(light)
@@ -52,13 +53,11 @@ def test_search_finds_the_material(rows, monkeypatch):
 
 def test_regions_looked_at_together_are_as_each_alone(rows):
     """Pieces of regions that come several times, in any order, with other materials each time."""
-    prior, rng = smooth_prior(8, Code(-0.4, 0.7)), np.random.default_rng(5)
+    prior, rng = smooth_prior(8, Code(-0.4, 0.7)), numpy_rng(5)
     saturated = rng.random(rows.data.clipped.shape) < 0.1
     data = replace(rows.data, clipped=saturated, point_weight=rng.random(len(rows.data.region)))
     search = Search.over(data, prior, 0.0, 40, rng).counting_saturated(0.3)
-    at = search.linear(
-        0.3 * torch.randn(search.unknowns.size, generator=torch.Generator().manual_seed(7))
-    )
+    at = search.linear(0.3 * torch.randn(search.unknowns.size, generator=torch_rng(7)))
 
     materials = RegionMaterials(
         rng.uniform(0.1, 0.9, (4, 3)),
@@ -80,7 +79,7 @@ def test_regions_looked_at_together_are_as_each_alone(rows):
 def test_rows_of_the_search_are_those_of_its_points(rows):
     """Every row of a region stays with its point, whatever the order."""
     data = rows.data
-    some = SearchRows.over(data, 40, np.random.default_rng(6))
+    some = SearchRows.over(data, 40, numpy_rng(6))
     assert (np.diff(some.data.region) >= 0).all() and (np.diff(some.data.rows.point) >= 0).all()
 
     twice = some.of((1, 0, 1))

@@ -9,15 +9,17 @@ import torch
 
 from pipeline.base.errors import InputError
 from pipeline.base.images import luminance, write_exr, write_png
-from pipeline.prior.network import KINDS, LABELS
+from pipeline.prior.network import KINDS
 from pipeline.prior.training import augment, procedural
 from pipeline.prior.training import train as training
 from pipeline.prior.training.data import ROWS, Batches, Data, half, make_cache, radiance, scale_free
 from pipeline.prior.training.settings import Training, load_training
 from pipeline.prior.training.sources import PEAK, expand, find_sources, read_source
 from pipeline.prior.training.train import Run, fixed_loss, row_weights, train
+from pipeline.prior.weight_facts import LABELS
 from pipeline.prior.weight_files import load_parts, part_paths, save_parts
 from pipeline.render.envmap import directions, mean_radiance, resample_area, solid_angles
+from tests.seeds import numpy_rng, torch_rng
 
 
 def sun_map(h=32):
@@ -112,7 +114,7 @@ def test_storage_keeps_a_sun():
 
 def test_unmoved_view_is_a_turn():
     """From the centre, a turn by whole columns is a roll."""
-    env = np.random.default_rng(0).random((16, 32, 3)).astype(np.float32)
+    env = numpy_rng(0).random((16, 32, 3)).astype(np.float32)
     turned = augment.moved(env, np.zeros(3), 2 * np.pi * 5 / 32)
     assert min(np.abs(turned - np.roll(env, k, 1)).max() for k in (5, -5)) < 1e-3
 
@@ -130,7 +132,7 @@ def test_moved_view_sees_along_its_rays():
 
 
 def test_views_keep_a_uniform_light():
-    rng = np.random.default_rng(0)
+    rng = numpy_rng(0)
     for _ in range(6):
         view = augment.draw_view(np.ones((ROWS, 2 * ROWS, 3), np.float32), 16, rng)
         assert view.shape == (16, 32, 3) and view.std((0, 1)).max() < 1e-4
@@ -141,7 +143,7 @@ def test_unmoved_views_keep_the_energy(monkeypatch):
     monkeypatch.setattr(augment, "CONTRAST", 0.0)
     monkeypatch.setattr(augment, "MOVE_ALONG", 0.0)
     monkeypatch.setattr(augment, "MOVE_UP", 0.0)
-    env, rng = sun_map(64), np.random.default_rng(1)
+    env, rng = sun_map(64), numpy_rng(1)
     for _ in range(8):
         assert np.allclose(
             mean_radiance(augment.draw_view(env, 16, rng)), mean_radiance(env), rtol=0.02
@@ -150,7 +152,7 @@ def test_unmoved_views_keep_the_energy(monkeypatch):
 
 @pytest.mark.parametrize("name", ["outdoor", "night"])
 def test_made_lights_are_light(name):
-    env = getattr(procedural, name)(np.random.default_rng(2), 32, 64)
+    env = getattr(procedural, name)(numpy_rng(2), 32, 64)
     assert env.shape == (32, 64, 3) and np.isfinite(env).all() and env.min() >= 0 and env.mean() > 0
 
 
@@ -159,7 +161,7 @@ def test_made_rooms_are_lit():
     from pipeline.prior.training import rooms
 
     for maker in (rooms.indoor, rooms.studio):
-        env = maker(np.random.default_rng(5), 32, 64, spp=8)
+        env = maker(numpy_rng(5), 32, 64, spp=8)
         assert np.isfinite(env).all() and np.median(env) > 0 and env.max() > 5 * np.median(env)
 
 
@@ -261,7 +263,7 @@ def test_settings_name_the_mistake(tmp_path):
 
 def test_weights_in_parts(tmp_path):
     path = tmp_path / "w.safetensors"
-    tensors = {k: torch.randn(100) for k in "abc"}
+    tensors = {k: torch.randn(100, generator=torch_rng(0)) for k in "abc"}
     assert len(save_parts(tensors, {"x": 1}, path, limit=900)) == 2
     loaded, facts = load_parts(path)
     assert facts == {"x": 1} and all(torch.equal(loaded[k], tensors[k]) for k in tensors)

@@ -1,0 +1,32 @@
+"""What the masks stage knows about its masks and the mesh stage asks for: `given.json` beside
+masks/.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from pipeline.base.files import json_entry, write_json
+
+FILE = "given.json"
+
+
+@dataclass(frozen=True)
+class MaskFacts:
+    """all_given: whether every mask is the user's own; given: names of the views whose mask is."""
+
+    all_given: bool
+    given: tuple[str, ...]
+
+    def save(self, folder: Path) -> None:
+        """Write given.json into the folder of the masks stage."""
+        write_json(folder / FILE, asdict(self))
+
+    @classmethod
+    def load(cls, folder: Path) -> MaskFacts:
+        """Read given.json from the folder of the masks stage. Raises InputError where it is missing
+        or incomplete.
+        """
+        file = folder / FILE
+        return cls(bool(json_entry(file, "all_given")), tuple(json_entry(file, "given")))

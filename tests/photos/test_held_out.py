@@ -1,0 +1,146 @@
+"""Photos that are kept for scoring: chosen once, placed by what the others have made."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from pipeline.base.config import Masks, Mesh, Observe
+from pipeline.base.images import read_png, write_exr, write_png
+from pipeline.geometry.cameras import Rig, load_cameras, save_cameras
+from pipeline.photos.held_out import hold_out, place, without_matches
+from pipeline.photos.photometry import gains
+from tests.seeds import numpy_rng
+
+
+def photos(count: int, test: int = 0) -> list[dict]:
+    return [{"name": f"v{k}", "split": "test" if k < test else "fit"} for k in range(count)]
+
+
+def held(marked: list[dict]) -> list[str]:
+    return [p["name"] for p in marked if p["split"] == "test"]
+
+
+@pytest.mark.parametrize("count, share, expected", [(30, 0.1, 3), (8, 0.01, 1), (7, 0.01, 0)])
+def test_a_random_share_is_held_out(count, share, expected):
+    marked = hold_out(photos(count), Observe(held_out=share))
+    assert len(held(marked)) == expected and len(marked) == count
+    assert held(marked) == held(hold_out(photos(count), Observe(held_out=share)))
+
+
+def test_nothing_is_held_out_where_that_is_asked_for_and_test_photos_of_the_users_suffice():
+    assert held(hold_out(photos(30), Observe(held_out=0))) == []
+    assert held(hold_out(photos(30, 2), Observe(held_out=0.5))) == ["v0", "v1"]
+
+
+@pytest.fixture(scope="module")
+def matched(tmp_path_factory) -> tuple[Path, pycolmap.Reconstruction]:
+    """COLMAP's database of nine photos with exact features and matches, and the truth."""
+    folder = tmp_path_factory.mktemp("matched")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 9
+    options.num_points3D, options.num_points2D_without_point3D = 200, 5
+    pycolmap.set_random_seed(0)
+    with pycolmap.Database.open(str(folder / "all.db")) as database:
+        truth = pycolmap.synthesize_dataset(options, database)
+    return folder / "all.db", truth
+
+
+def test_a_held_out_photo_is_placed_by_the_others_and_makes_none_of_their_points(matched, tmp_path):
+    database, truth = matched
+    file = sorted(image.name for image in truth.images.values())[4]
+    without_matches(database, tmp_path / "mapped.db", [file])
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = 1
+    (tmp_path / "model").mkdir()
+    models = pycolmap.incremental_mapping(
+        tmp_path / "mapped.db", tmp_path, tmp_path / "model", options
+    )
+    model = models[0]
+    assert model.num_reg_images() == 8
+    assert file not in {image.name for image in model.images.values() if image.has_pose}
+
+    placed = place(database, model, [file])[file]
+    image = next(i for i in truth.images.values() if i.name == file)
+    pixels = np.array([p.xy for p in image.points2D])
+    xyz = np.array([model.points3D[p].xyz for p in placed.points])
+    seen = np.array([placed.camera.img_from_cam(placed.pose * p) for p in xyz])
+    apart = np.linalg.norm(seen[:, None] - pixels, axis=-1).min(1)
+    assert len(xyz) > 50 and np.median(apart) < 0.5
+
+
+def test_a_photo_that_matches_nothing_is_not_placed(matched, tmp_path):
+    database, truth = matched
+    file = sorted(image.name for image in truth.images.values())[0]
+    without_matches(database, tmp_path / "alone.db", [file])
+    assert place(tmp_path / "alone.db", truth, [file]) == {}
+
+
+def test_a_held_out_photos_gain_is_found_and_changes_no_other():
+    rng = numpy_rng(0)
+    stops = np.array([0.5, -0.5, 1.0, -1.0, 2.0])[:, None] * np.ones(3)
+    seen = rng.uniform(-3, 0, (200, 3)) + stops[:, None] + 0.05 * rng.normal(size=(5, 200, 3))
+    fit = np.array([True, True, True, True, False])
+    found = gains(seen, fit)
+    np.testing.assert_allclose(found, stops, atol=0.05)
+    seen[4] += 3.0
+    other = gains(seen, fit)
+    assert np.array_equal(other[:4], found[:4]) and np.allclose(other[4], found[4] + 3)
+
+
+def test_the_rig_without_its_test_views(ring, tmp_path):
+    views = [replace(v, split="test" if k == 2 else "fit") for k, v in enumerate(ring(5, 16))]
+    save_cameras(tmp_path / "cameras.json", Rig(views, np.zeros(3), 1.0, "sfm"))
+    rig = load_cameras(tmp_path / "cameras.json")
+    assert [v.name for v in rig.training().views] == ["v0", "v1", "v3", "v4"]
+    assert [v.name for v in rig.test_views()] == ["v2"]
+
+
+def test_masks_for_scoring_are_the_surfaces_or_the_users(ring, tmp_path):
+    from pipeline.surface.make import scoring_masks
+    from tests.conftest import sphere
+
+    views = [replace(v, split="test" if k < 2 else "fit") for k, v in enumerate(ring(5, 32))]
+    rig = Rig(views, np.zeros(3), 1.0, "sfm")
+    (tmp_path / "given").mkdir()
+    own = np.zeros((32, 32), np.uint8)
+    own[3:9, 4:8] = 255
+    write_png(tmp_path / "given" / "v1.png", own)
+    (tmp_path / "out").mkdir()
+    scoring_masks(rig, tmp_path / "given", sphere(3), tmp_path / "out")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["v0.png", "v1.png"]
+    assert np.array_equal(read_png(tmp_path / "out" / "v1.png"), own)
+    pixels = views[0].pixel_centers()
+    origins, directions = views[0].rays(pixels)
+    closest = np.linalg.norm(np.cross(origins, directions), axis=-1)
+    drawn = read_png(tmp_path / "out" / "v0.png") > 127
+    assert (drawn == (closest < 0.5)).mean() > 0.97
+
+
+def test_no_stage_looks_at_a_photo_that_is_held_out(ring, tmp_path):
+    """It is not even there; and its mask comes from the surface that the others show."""
+    from pipeline.masks.make import make_masks
+    from pipeline.surface.make import make_mesh
+
+    views = [replace(v, split="test" if k == 3 else "fit") for k, v in enumerate(ring(9, 48))]
+    for name in ("poses/images", "poses/masks", "masks", "mesh"):
+        (tmp_path / name).mkdir(parents=True)
+    poses = tmp_path / "poses"
+    save_cameras(poses / "cameras.json", Rig(views, np.zeros(3), 0.7, "transforms.json"))
+    for v in views:
+        if v.split == "fit":
+            origins, directions = v.rays(v.pixel_centers())
+            inside = np.linalg.norm(np.cross(origins, directions), axis=-1) < 0.5
+            write_png(poses / "masks" / f"{v.name}.png", inside * np.uint8(255))
+            write_exr(poses / v.image, np.where(inside[..., None], 0.5, 0.1), half=True)
+
+    facts = make_masks(poses, tmp_path / "masks", Masks(), 1)
+    assert facts["method"] == "given" and "v3" not in facts["given"]
+    settings = Mesh(method="hull", grid=48, faces=500)
+    make_mesh(poses, tmp_path / "masks", tmp_path, tmp_path / "mesh", settings, 1)
+    origins, directions = views[3].rays(views[3].pixel_centers())
+    disc = np.linalg.norm(np.cross(origins, directions), axis=-1) < 0.5
+    drawn = read_png(tmp_path / "mesh" / "masks" / "v3.png") > 127
+    assert (drawn & disc).sum() > 0.9 * (drawn | disc).sum()
