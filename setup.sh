@@ -27,6 +27,11 @@ is_done() { # is_done FILE COPY: FILE has not changed since COPY was made of it
     [ -f "$2" ] && cmp -s "$1" "$2"
 }
 
+note() { # note FILE COPY: FILE is done. A new COPY, for the old one may be a link to another checkout's
+    rm -f "$2"
+    cp "$1" "$2"
+}
+
 # split LOCK FOLDER: the lock in files of PIECE requirements each, hashes with their requirement.
 # 00 holds what pip needs to install others: a build back-end and the runtime of karellen-llvm-core.
 split() {
@@ -59,7 +64,7 @@ install_lock() {
             fail "pip could not install the packages above; its message says why.
   Run setup.sh again: it goes on where it stopped."
     done
-    cp requirements.lock "$lock_done"
+    note requirements.lock "$lock_done"
 }
 
 # copy FROM TO: links to the same files, copies where the file system cannot link
@@ -137,7 +142,7 @@ fi
 
 echo "installing Heliograph itself"
 pip --no-build-isolation --editable . || fail "pip could not install this folder; its message says why"
-cp pyproject.toml "$project_done"
+note pyproject.toml "$project_done"
 
 .venv/bin/heliograph doctor
 [ -z "${1:-}" ] || keep

@@ -80,15 +80,19 @@ def summary(rows: list[dict]) -> str:
 
 
 def chosen_words(row: dict) -> list[str]:
-    """Cells: sides of the textures, path vertices, rows of the light, and gloss of sample 0."""
+    """Cells: sides of the textures, path vertices, rows of the light, and gloss of sample 0: its
+    bodies' rungs; of rows from before there were any, what roughness and metallic became.
+    """
     settings = row["chosen"]["settings"]
     sides = settings.get("refine", {})
     gloss = row["chosen"]["gloss"] or {}
+    rungs = sorted({body["chosen"] for body in gloss.get("bodies", [])})
+    maps = [f"{n}: {gloss[n]['chosen']}" for n in ("roughness", "metallic") if n in gloss]
     return [
         f"{sides.get('texture', 'kept')} / {sides.get('gloss_texture', 'kept')}",
         str(settings.get("render", {}).get("max_depth", "kept")),
         str(settings.get("sample", {}).get("light", "kept")),
-        *(gloss.get(name, {}).get("chosen", "kept") for name in ("roughness", "metallic")),
+        ", ".join(rungs or maps) or "kept",
     ]
 
 
@@ -110,6 +114,6 @@ def by_scene(rows: list[dict]) -> str:
             text = "" if value is None else f"{value:+.{digits}f}"
             line.append(cell(value, limit, text))
         body.append(line)
-    head = ["scene, preset", "texels: colour / gloss", "max_depth", "light rows", "roughness"]
-    head += ["metallic", "numbers", "CPU s", "held-out dB lost", "relit dB lost", "coverage lost"]
+    head = ["scene, preset", "texels: colour / gloss", "max_depth", "light rows", "gloss"]
+    head += ["numbers", "CPU s", "held-out dB lost", "relit dB lost", "coverage lost"]
     return pipe_table(head, body)

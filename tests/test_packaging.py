@@ -216,4 +216,19 @@ def test_setup_starts_from_kept_packages(checkout, tmp_path_factory):
     assert (kept / "bin" / "tool").read_text() == f"#!{folder}/.venv/bin/python\n"
     assert not (other / "installed").exists()  # the lock is the same: pip has nothing to do
     assert "--editable ." in (other / "calls").read_text()
+
+    # a lock that differs there is not noted as installed here
+    (other / "requirements.lock").write_text(
+        (folder / "requirements.lock").read_text() + "# more\n"
+    )
+    again = subprocess.run(
+        ["sh", str(other / "setup.sh")],
+        env=os.environ | {"PYTHON": str(other / "python"), "XDG_CACHE_HOME": str(folder / "cache")},
+        capture_output=True,
+        text=True,
+    )
+    assert again.returncode == 0, again.stderr
+    assert "# more" in (other / ".venv" / ".heliograph-lock").read_text()
+    assert "# more" not in (folder / ".venv" / ".heliograph-lock").read_text()
+    assert "# more" not in (kept / ".heliograph-lock").read_text()
     assert run("--hold").returncode == 1

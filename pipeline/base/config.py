@@ -163,7 +163,10 @@ class Observe(Section):
     """Random pixels over all views."""
 
     pixels: int = Field(
-        1_500_000, ge=256, le=20_000_000, description="pixels drawn over all fit views"
+        4_000_000,
+        ge=256,
+        le=20_000_000,
+        description="pixels drawn over all fit views: those of forty photos of 1000 pixels a side",
     )
     held_out: float = Field(
         0.1,
@@ -205,10 +208,6 @@ class Choose(Section):
     fit: Literal["auto", "keep"] = Field(
         "auto", description="fit.texture, steps and pixels, by what a photo's pixel covers"
     )
-    maps: Literal["auto", "keep"] = Field(
-        "auto",
-        description="refine.gloss: roughness and metallic as maps only where held-out pixels ask",
-    )
 
 
 SETTINGS_OF = {
@@ -216,7 +215,6 @@ SETTINGS_OF = {
     "bounces": (("render", "max_depth"),),
     "light": (("sample", "light"),),
     "fit": (("fit", "texture"), ("fit", "steps"), ("fit", "pixels")),
-    "maps": (("refine", "gloss"),),
 }  # what each decision of `Choose` sets
 
 
@@ -351,9 +349,9 @@ class Refine(Section):
         None, ge=16, le=8192, description="side of roughness and metallic; none: as `texture`"
     )
     gloss: Literal["maps", "tested"] = Field(
-        "maps",
-        description="maps: roughness and metallic as textures; tested: a number in place of each "
-        "map by which held-out blocks of pixels gain no more than two standard errors",
+        "tested",
+        description="tested: every body of the surface begins matt and keeps as much of the draw's "
+        "gloss and metal as photos that were left out ask for; maps: all of both, as drawn",
     )
 
 

@@ -1,6 +1,6 @@
 """Gloss and metal rung by rung: a body keeps what photos that were left out ask for, and no more.
 
-Every body of the surface begins as a dielectric of one number and climbs. Rungs, simplest first:
+The surface begins as one dielectric of one number and climbs. Rungs, simplest first:
 
     matt              roughness 1, no metal
     one gloss         the surface's median roughness everywhere, no metal
@@ -16,9 +16,11 @@ out, by the error e of a score (render/metrics.py: squared, as sRGB values):
     gain = sum over blocks b of g_b,    g_b = sum over pixels of b of e_simple - e_rich
 
 Errors of neighbouring pixels go together, so blocks count as independent, not pixels: the gain's
-standard error is sqrt(B) times the standard deviation of the g_b over B blocks. A body climbs to a
-rung that gains more than CLEAR standard errors over the one it stands on; of the first two, which
-are one number each, it begins on the one that predicts better.
+standard error is sqrt(B) times the standard deviation of the g_b over B blocks. The surface as a
+whole climbs to a rung that gains more than CLEAR standard errors over the one it stands on; of the
+first two, which are one number each, it begins on the one that predicts better. Then every body
+leaves the surface's rung, up or down, only for one that gains as clearly on its own pixels:
+materials grow from one.
 
 Whole photos are left out, not blocks of pixels alone: a base colour that a photo's own pixels make
 holds its highlights as paint, and would hide what a metal explains.
@@ -48,7 +50,7 @@ LEFT_OUT = 0.2  # share of the photos
 MOST_LEFT_OUT = 8  # photos
 BLOCKS = 24  # along the long side of a photo
 FINEST = 4  # pixels along a side of a block, at least
-FEWEST = 10  # blocks, below which a standard error over them says nothing: a body stays matt
+FEWEST = 10  # blocks, below which a standard error over them says nothing
 FEWEST_PHOTOS = 4
 SOLVED = 200_000  # pixels of the other photos, at most, that a rung's base colour is made from
 JUDGED = 8_000  # pixels of the blocks at most
@@ -178,7 +180,7 @@ def rungs(x: Explanation, body: np.ndarray, uv: np.ndarray) -> list[Rung]:
     none = flat(0)
 
     def medians(chosen: np.ndarray) -> np.ndarray:
-        """Of the roughness of the `chosen` pixels, by body; of all of them where a body has none."""
+        """Of the `chosen` pixels' roughness, by body; of all of them where a body has none."""
         whole = np.median(roughness[chosen] if chosen.any() else roughness)
         of_body = [roughness[chosen & (of_pixel == b)] for b in range(int(body.max()) + 1)]
         return np.array([np.median(v) if len(v) else whole for v in of_body], np.float32)
@@ -197,17 +199,35 @@ def rungs(x: Explanation, body: np.ndarray, uv: np.ndarray) -> list[Rung]:
 
 
 def climbed(errors: list[np.ndarray], block: np.ndarray) -> tuple[int, list[dict]]:
-    """The rung that a body stands on in the end, and every step that was tried: `from` and `to`
-    (numbers of rungs), `gain` and its `standard_error` as shares of the error. errors: squared
+    """The rung that the surface stands on in the end, and every step that was tried: `from` and
+    `to` (numbers of rungs), `gain` and its `standard_error` as shares of the error. errors: squared
     errors (n,) of its pixels on every rung.
     """
     stands, tried = 0, []
     for higher in range(1, len(errors)):
-        share, error = gain(errors[stands], errors[higher], block)
-        tried.append({"from": stands, "to": higher, "gain": share, "standard_error": error})
-        if share > (0 if higher < EQUALLY_SIMPLE else CLEAR * error):
+        step = tried_step(errors, block, stands, higher)
+        tried.append(step)
+        clear = 0 if higher < EQUALLY_SIMPLE else CLEAR * step["standard_error"]
+        if step["gain"] > clear:
             stands = higher
     return stands, tried
+
+
+def of_a_body(errors: list[np.ndarray], block: np.ndarray, stands: int) -> tuple[int, list[dict]]:
+    """As `climbed`, for a body that begins on the surface's rung `stands`."""
+    tried = []
+    for other in [k for k in range(len(errors)) if k != stands]:
+        step = tried_step(errors, block, stands, other)
+        tried.append(step)
+        if step["gain"] > CLEAR * step["standard_error"]:
+            stands = other
+    return stands, tried
+
+
+def tried_step(errors: list[np.ndarray], block: np.ndarray, at: int, to: int) -> dict:
+    """What `climbed` says of one step."""
+    share, error = gain(errors[at], errors[to], block)
+    return {"from": at, "to": to, "gain": share, "standard_error": error}
 
 
 def climb(
@@ -229,16 +249,17 @@ def climb(
 
     errors = [squared_error(problem, matt, parts.judged, seed)]
     for rung in found[1:]:
-        tried = solve(kept, rung.put_on(matt))
-        errors.append(squared_error(problem, tried, parts.judged, seed))
+        solved = solve(kept, rung.put_on(matt))
+        errors.append(squared_error(problem, solved, parts.judged, seed))
 
     at_judged = gather(body.astype(np.float32), problem.observations.uv[parts.judged])[:, 0]
     roughness, metallic = np.empty_like(x.roughness), np.empty_like(x.metallic)
     keeps_map = np.zeros(body.shape, bool)
     facts = []
+    surface, of_surface = climbed(errors, parts.block)
     for b in range(int(body.max()) + 1):
         mine = at_judged.round() == b
-        stands, tried = climbed([e[mine] for e in errors], parts.block[mine])
+        stands, tried = of_a_body([e[mine] for e in errors], parts.block[mine], surface)
         rung, here = found[stands], body == b
         roughness[here], metallic[here] = rung.roughness[here], rung.metallic[here]
         keeps_map[here] = rung.name in ("gloss map", "as drawn")
@@ -253,6 +274,7 @@ def climb(
             "blocks": len(np.unique(parts.block)),
             "judged_pixels": len(parts.judged),
             "rungs": [rung.name for rung in found],
+            "surface": {"chosen": found[surface].name, "tried": of_surface},
             "bodies": facts,
         },
     )

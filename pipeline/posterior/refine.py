@@ -175,8 +175,8 @@ def move_gloss(
         stay_near(materials, explanation)
     for name in ("roughness", "metallic"):
         now = getattr(explanation, name)
-        bounds = (np.where(moves, bound, now) for bound in materials.bounds[name])
-        materials.bounds[name] = tuple(bounds)
+        low, high = materials.bounds[name]
+        materials.bounds[name] = np.where(moves, low, now), np.where(moves, high, now)
 
     losses = []
     for step in range(settings.steps):
@@ -200,8 +200,8 @@ def judged_gloss(
     problem: Problem, explanation: Explanation, settings: Refine, rng: np.random.Generator
 ) -> tuple[Explanation, np.ndarray, dict]:
     """With `settings.gloss` "tested" the explanation with as much gloss and metal as photos ask for
-    (`climb`), which texels (t, t) keep a map of roughness, and what was chosen, as the fact `gloss`;
-    the explanation as it is, all of it as maps, where there are too few photos to judge by.
+    (`climb`), which texels (t, t) keep a map of roughness, and what was chosen, as the fact
+    `gloss`; the explanation as it is, all of it as maps, where too few photos can judge.
     """
     everywhere = np.ones(explanation.roughness.shape, bool)
     if settings.gloss == "maps":

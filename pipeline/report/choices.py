@@ -82,9 +82,10 @@ def choices(facts: dict[str, dict]) -> list[str]:
         if "why" in found:
             out.append(f"Sample {stage.split()[1]}: {found['why']}.")
         elif found:
-            said = [body_words(body, found["rungs"]) for body in found["bodies"]]
+            said = [body_words(body, found["rungs"]) for body in found["bodies"] if body["share"]]
             out.append(
                 f"Gloss and metal of sample {stage.split()[1]}, judged by {found['blocks']} blocks "
-                f"of {found['photos_left_out']} photos that were left out: {'; '.join(said)}."
+                f"of {found['photos_left_out']} photos that were left out: the surface as a whole "
+                f"{found['surface']['chosen']}; its bodies of one colour {'; '.join(said)}."
             )
     return out

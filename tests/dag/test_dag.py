@@ -50,7 +50,7 @@ sample:
 refine: {{steps: 4, pixels: 300, spp: 2, texture: 48}}
 report: {{relight_size: 48, spp: 4}}
 """
-CHOOSING = "choose: {enabled: true, texture: auto, bounces: auto, light: auto, maps: auto}\n"
+CHOOSING = "choose: {enabled: true, texture: auto, bounces: auto, light: auto}\n"
 
 
 ODD = "it's $(touch hacked) b"
@@ -211,14 +211,21 @@ def test_later_stages_take_what_was_chosen_and_only_where_asked(project):
 
     chosen = settings(ODD)["settings"]
     assert chosen["render"] == {"max_depth": 2} and chosen["sample"] == {"light": 16}
-    assert chosen["refine"] == {"texture": 48, "gloss_texture": 16, "gloss": "tested"}
+    assert chosen["refine"] == {"texture": 48, "gloss_texture": 16}
     assert side(ODD, "base_color") == 48 and side(ODD, "roughness") == side(ODD, "metallic") == 16
-    gloss = lambda scene: json.loads((project / f"work/{scene}/refine/0/refine.json").read_text())
-    assert "gloss" not in gloss("toy")
-    for name in ("roughness", "metallic"):
-        image = read_exr(project / f"work/{ODD}/refine/0/{name}.exr")
-        found = gloss(ODD)["gloss"][name]
-        assert (np.ptp(image) < 1e-6) == (found["chosen"] != "map")
+
+
+def test_a_body_has_no_more_gloss_than_its_rung(project):
+    """Of one number where all bodies stand on a rung of one number."""
+    for scene in ("toy", ODD):
+        folder = project / f"work/{scene}/refine/0"
+        found = json.loads((folder / "refine.json").read_text())["gloss"]
+        chosen = {body["chosen"] for body in found["bodies"]}
+        assert found["photos_left_out"] == 2 and chosen <= set(found["rungs"])
+        if chosen <= {"matt"} or chosen <= {"one gloss"}:
+            assert np.ptp(read_exr(folder / "roughness.exr")) < 1e-6
+        if not chosen & {"one metal", "as drawn"}:
+            assert not read_exr(folder / "metallic.exr").any()
 
 
 def test_nothing_to_do_when_nothing_changed(project):

@@ -2,6 +2,7 @@ from copy import copy
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from pipeline.base.config import Fit, Refine, Sample
 from pipeline.base.images import read_exr
@@ -90,8 +91,10 @@ def test_sample_explains_the_photos(problem, start):
     assert facts["loss_last"] > 0 and np.isfinite(drawn.light).all() and drawn.light.min() >= 0
 
 
-def test_refined_sample_predicts_the_held_out_view(problem, start, toy):
-    settings = Refine(steps=20, pixels=800, texture=32)
+@pytest.mark.parametrize("gloss, lost", [("maps", 0.5), ("tested", 1.0)])
+def test_refined_sample_predicts_the_held_out_view(problem, start, toy, gloss, lost):
+    """As well as before, but for the chance of a choice by two photos of 40 pixels a side."""
+    settings = Refine(steps=20, pixels=800, texture=32, gloss=gloss)
     with Bar("refine", units(settings)) as bar:
         refined, _ = refine(problem, problem, start[0], settings, seeded(0), bar)
     assert bar.done == bar.total
@@ -101,7 +104,7 @@ def test_refined_sample_predicts_the_held_out_view(problem, start, toy):
     mask = photo.max(-1) > 0
     before = psnr(render_view(problem.renderer, start[0], view, 64), photo, mask)
     after = psnr(render_view(problem.renderer, refined, view, 64), photo, mask)
-    assert after > 24 and after > before - 0.5
+    assert after > 24 and after > before - lost
 
     assert 0 <= refined.base_color.min() and refined.base_color.max() <= 0.98
     assert refined.roughness.min() >= 0.1

@@ -260,6 +260,7 @@ def test_choices_are_said_with_their_evidence(work):
         "photos_left_out": 3,
         "blocks": 70,
         "rungs": ["matt", "one gloss", "gloss map"],
+        "surface": {"chosen": "matt", "tried": []},
         "bodies": [
             {"share": 0.8, "chosen": "one gloss", "tried": [step(1, 0.31), step(2, 0.02)]},
             {"share": 0.2, "chosen": "matt", "tried": [step(1, -0.025), step(2, 0.05)]},
@@ -274,6 +275,7 @@ def test_choices_are_said_with_their_evidence(work):
     assert "has 120 steps of 1366 pixels and 64 texels a side, 300, 8192 and 256 were" in said
     assert "every texel is looked at 40 times" in said
     assert "sample 1, judged by 70 blocks of 3 photos" in said and "sample 0, judged" not in said
+    assert "the surface as a whole matt; its bodies of one colour 80 % one gloss" in said
     assert "80 % one gloss (+31.0 % ± 4.0 of the error of matt)" in said
     assert "20 % matt (gloss map would save +5.0 % ± 4.0 of the error)" in said
 

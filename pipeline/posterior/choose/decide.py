@@ -1,7 +1,8 @@
 """The decisions of a scene: what each sets, to what, and on which evidence.
 
-Every decision is made from photos and surface alone, and never adds to what is configured. Only
-whether maps of roughness and metallic are needed waits for the draws, and is decided there.
+Every decision is made from photos and surface alone, and never adds to what is configured. How
+much gloss and metal are needed waits for the draws: each refinement decides it
+(posterior/ladder.py).
 """
 
 from __future__ import annotations
@@ -100,17 +101,11 @@ def decide_fit(evidence: Evidence, scene: Scene, rng: np.random.Generator) -> De
     return {"fit": chosen}, facts
 
 
-def decide_maps(evidence: Evidence, scene: Scene, rng: np.random.Generator) -> Decision:
-    """refine.gloss: that the maps are tested. Each draw has its own, so each refinement decides."""
-    return {"refine": {"gloss": "tested"}}, {"decided_in": "refine/<sample>/refine.json, gloss"}
-
-
 DECISIONS: dict[str, Callable[[Evidence, Scene, np.random.Generator], Decision]] = {
     "texture": decide_texture,
     "bounces": decide_bounces,
     "light": decide_light,
     "fit": decide_fit,
-    "maps": decide_maps,
 }
 
 

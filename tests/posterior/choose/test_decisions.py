@@ -123,11 +123,11 @@ class Unread:
     [
         {
             "choose": {"enabled": True}
-            | dict.fromkeys(("texture", "bounces", "light", "fit", "maps"), "keep")
+            | dict.fromkeys(("texture", "bounces", "light", "fit"), "keep")
         },
         {
             "choose": {"enabled": True},
-            "refine": {"texture": 512, "gloss": "maps"},
+            "refine": {"texture": 512},
             "render": {"max_depth": 3},
             "sample": {"light": 16},
             "fit": {"steps": 200},
