@@ -21,7 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import atlas_tables, parsimony_tables, surfaces_tables, trust_tables
+from benchmarks import (
+    atlas_tables,
+    ladder_tables,
+    parsimony_tables,
+    surfaces_tables,
+    trust_tables,
+)
 from benchmarks.markdown import number, pipe_table
 from benchmarks.stability import limits as stability
 from benchmarks.study import pages as study_pages
@@ -558,6 +564,11 @@ TABLES |= {name: stability_table(make) for name, make in stability.TABLES.items(
 TABLES["surfaces_choice"] = lambda: surfaces_tables.choice(results("surfaces")["data"])
 TABLES["surfaces"] = lambda: surfaces_tables.table(results("surfaces")["data"]) + source("surfaces")
 TABLES["atlas"] = lambda: atlas_tables.table(rows_of("atlas")) + source("atlas")
+TABLES["ladder"] = lambda: ladder_tables.photos(rows_of("ladder")) + source("ladder")
+TABLES["ladder_truth"] = lambda: (
+    ladder_tables.truths(rows_of("ladder_truth")) + source("ladder_truth")
+)
+TABLES["ladder_worst"] = lambda: ladder_tables.worst(rows_of("ladder_truth"))
 TABLES["work_slopes"] = lambda: work_tables.slopes(results("work")["data"])
 TABLES["work_figures"] = lambda: work_tables.figures(results("work")["data"]) + source("work")
 
