@@ -91,7 +91,7 @@ def cut(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return _merged(chart, near, normals, area, FEWEST)
 
 
-@njit(cache=False)
+@njit(cache=True)
 def _grow(
     chart: np.ndarray,
     start: int,
@@ -122,7 +122,7 @@ def _grow(
                 heapq.heappush(queue, (1 - cosine + distance / reach, other, k))
 
 
-@njit(cache=False)
+@njit(cache=True)
 def _grown(
     near: np.ndarray,
     normals: np.ndarray,

@@ -74,7 +74,7 @@ def pull(i: Sight, j: Sight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return first, second, score
 
 
-@njit(nogil=True, fastmath=True, cache=False)
+@njit(nogil=True, fastmath=True, cache=True)
 def _through(
     photo: np.ndarray,
     depth: np.ndarray,
@@ -143,7 +143,7 @@ def _through(
     return moments, slope
 
 
-@njit(nogil=True, fastmath=True, cache=False)
+@njit(nogil=True, fastmath=True, cache=True)
 def _scored(moments: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Each window's ZNCC (h, w), nan where too little is seen, and its five terms in the
     derivatives (h, w, 5): those of a, of 1 beside a, of b, of 1 beside b, and of the second one.
@@ -177,7 +177,7 @@ def _scored(moments: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return terms, score
 
 
-@njit(nogil=True, fastmath=True, cache=False)
+@njit(nogil=True, fastmath=True, cache=True)
 def _derivatives(
     moments: np.ndarray, sums: np.ndarray, slope: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

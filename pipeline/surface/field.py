@@ -36,7 +36,7 @@ def signed_distance(mask: np.ndarray) -> np.ndarray:
     return (inside - outside).astype(np.float32)
 
 
-@njit(parallel=True, fastmath=True, cache=False)
+@njit(parallel=True, fastmath=True, cache=True)
 def hull_field(
     low: np.ndarray,
     cell: np.float32,
@@ -84,7 +84,7 @@ def hull_field(
     return out
 
 
-@njit(parallel=True, fastmath=True, cache=False)
+@njit(parallel=True, fastmath=True, cache=True)
 def stereo_field(
     low: np.ndarray,
     cell: np.float32,

@@ -94,7 +94,7 @@ def _runs(uv: np.ndarray, corner: np.ndarray, margin: int) -> tuple[np.ndarray, 
     return np.stack([rows, first, after], -1).astype(np.int32), height, width
 
 
-@njit(cache=False)
+@njit(cache=True)
 def _lowest(
     taken: np.ndarray, runs: np.ndarray, height: int, width: int, below: int
 ) -> tuple[int, int]:
@@ -118,7 +118,7 @@ def _lowest(
     return -1, -1
 
 
-@njit(cache=False)
+@njit(cache=True)
 def _take(taken: np.ndarray, runs: np.ndarray, row: int, column: int) -> None:
     """Mark the runs as taken."""
     for r in range(len(runs)):

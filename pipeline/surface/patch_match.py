@@ -76,7 +76,7 @@ class Plane(NamedTuple):
     n2: Single
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, cache=True)
 def patch_at(
     image: np.ndarray,
     width: int,
@@ -114,7 +114,7 @@ def patch_at(
     return Patch(x, y, values, weights, mean, second / total - mean * mean)
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, cache=True)
 def photometric_cost(
     patch: Patch,
     plane: Plane,
@@ -196,7 +196,7 @@ def photometric_cost(
     return ONE - (cross - first * patch.mean) / np.sqrt(spread * patch.variance)
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, cache=True)
 def reprojection_error(
     x: int,
     y: int,
@@ -238,7 +238,7 @@ def reprojection_error(
     return min(np.sqrt(du * du + dv * dv), GEOMETRIC_LIMIT)
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, cache=True)
 def plane_cost(
     patch: Patch, plane: Plane, camera: np.ndarray, others: Others, costs: np.ndarray
 ) -> Single:
@@ -274,7 +274,7 @@ def plane_cost(
     return total / np.float32(best)
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, cache=True)
 def best_of_region(
     region: int, x: int, y: int, inside: np.ndarray, cost: np.ndarray
 ) -> tuple[int, int]:
@@ -302,7 +302,7 @@ def best_of_region(
     return at_x, at_y
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, cache=True)
 def carried(
     depth: Single, normal: np.ndarray, from_x: int, from_y: int, x: int, y: int, camera: np.ndarray
 ) -> Plane:
@@ -323,21 +323,21 @@ def carried(
     return Plane(z, normal[0], normal[1], normal[2])
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, cache=True)
 def _random(state: Any) -> tuple[Any, Single]:
     """The next state of a linear congruential generator, and a number in [-1, 1)."""
     state = state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
     return state, np.float32((state >> np.uint64(40)) / 8388608.0 - 1.0)
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, cache=True)
 def _alike(a: Plane, b: Plane) -> Any:
     """Whether trying one plane after the other is not worth the time."""
     near = abs(a.z - b.z) < np.float32(2e-5) * a.z
     return near and a.n0 * b.n0 + a.n1 * b.n1 + a.n2 * b.n2 > np.float32(0.9995)
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, cache=True)
 def moved(
     plane: Plane, attempt: int, width: Single, low: Single, high: Single, state: Any
 ) -> tuple[Plane, Any]:

@@ -210,7 +210,7 @@ def _rays(crop: Crop) -> np.ndarray:
     return crop.rotation.T @ np.linalg.inv(crop.intrinsics)
 
 
-@njit(nogil=True, fastmath=True, cache=False)
+@njit(nogil=True, fastmath=True, cache=True)
 def _front(
     depth: np.ndarray, seen: np.ndarray, flat: np.ndarray, rays: np.ndarray, footprint: float
 ) -> np.ndarray:
@@ -240,7 +240,7 @@ def _front(
     return out
 
 
-@njit(nogil=True, fastmath=True, cache=False)
+@njit(nogil=True, fastmath=True, cache=True)
 def _gather(
     first: np.ndarray,
     second: np.ndarray,

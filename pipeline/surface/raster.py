@@ -30,7 +30,7 @@ def _corners(uv: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
     return np.ascontiguousarray((uv * [1, -1] + [0, 1])[faces] * size)
 
 
-@njit(cache=False)
+@njit(cache=True)
 def _cover(corners: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The loop of `rasterize` and `texel_faces`: how many triangles cover each texel centre, the
     last of them (-1: none), and the barycentric coordinates (s, t) of its corners b and c.

@@ -66,7 +66,7 @@ def z_buffer(crop: Crop, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.nd
     return _fill(_projected(vertices, onto), faces, crop.height, crop.width)
 
 
-@njit(nogil=True, fastmath=True, cache=False)
+@njit(nogil=True, fastmath=True, cache=True)
 def _projected(vertices: np.ndarray, onto: np.ndarray) -> np.ndarray:
     """(u z, v z, z) of vertices (n, 3) by the matrix (3, 4), float32."""
     out = np.empty((len(vertices), 3), np.float32)
@@ -78,7 +78,7 @@ def _projected(vertices: np.ndarray, onto: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(nogil=True, fastmath=True, cache=False)
+@njit(nogil=True, fastmath=True, cache=True)
 def _fill(
     points: np.ndarray, faces: np.ndarray, height: int, width: int
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -14,13 +14,13 @@ from pipeline.report.trust import Evidence
 from tests.seeds import numpy_rng
 
 
-def rows(informative: bool) -> list[dict]:
-    """40 runs of 8 kinds; informative: what is explained tells how well they are relit."""
+def rows(informative: bool, count: int = 40) -> list[dict]:
+    """Runs of 8 kinds; informative: what is explained tells how well they are relit, to 1 dB."""
     rng = numpy_rng(1)
     out = []
-    for k in range(40):
+    for k in range(count):
         explained = rng.uniform(10, 32)
-        relight = explained - 4 if informative else rng.uniform(8, 28)
+        relight = explained - 4 + rng.normal() if informative else rng.uniform(8, 28)
         found = Evidence(rng.uniform(15, 30), explained, rng.uniform(0, 0.5), 0.97)
         out.append(
             {
@@ -48,7 +48,7 @@ def test_auroc_counts_pairs():
 
 
 def test_the_fit_finds_what_tells():
-    runs = rows(informative=True)
+    runs = rows(informative=True, count=400)
     model = fitted(runs)
     assert model["weights"][1] < 0 and abs(model["weights"][1]) > 3 * abs(model["weights"][0])
     assert figures(runs)["auroc"] > 0.97
@@ -58,15 +58,15 @@ def test_the_fit_finds_what_tells():
 
 def test_left_out_kinds_are_judged_unseen():
     """On evidence that says nothing the score is no better than chance, however well it fits."""
-    runs = rows(informative=False)
+    runs = rows(informative=False, count=400)  # of which chance alone makes .5 +- .03
     found = figures(runs)
-    assert 0.2 < found["auroc"] < 0.75 and found["runs"] == 40 and found["kinds"] == 8
+    assert 0.3 < found["auroc"] < 0.65 and found["runs"] == 400 and found["kinds"] == 8
     seen = chances(fitted(runs), runs)
     assert np.abs(seen - left_out(runs)).max() > 0.01
 
 
 def test_tables_name_the_runs_that_are_judged_wrongly():
-    runs = rows(informative=True)
+    runs = rows(informative=True, count=400)
     chance, failed = left_out(runs), np.array([row["relight_psnr"] < 18 for row in runs])
     misjudged = {run["scene"] for run, c, bad in zip(runs, chance, failed) if (c >= 0.5) != bad}
     assert 0 < len(misjudged) < len(runs)

@@ -130,7 +130,8 @@ def test_known_cameras_without_masks_find_the_ground_they_stand_on(photographed,
     facts = make_poses(photographed[1], scene, out, SETTINGS, Observe(held_out=0), 1)
     rig = load_cameras(out / "cameras.json")
     assert facts["ground"] == "found" and abs(rig.facts["plane"]["offset"]) < 0.01
-    assert np.linalg.norm(rig.center - [0, 0.25, 0]) < 0.2 and 0.3 < rig.radius < 1.2
+    # cameras on one side see points of that side only
+    assert np.linalg.norm(rig.center - [0, 0.25, 0]) < 0.5 * rig.radius and 0.3 < rig.radius < 1.2
     for v, true in zip(rig.views, views()):
         np.testing.assert_allclose(v.world_to_camera, true.world_to_camera, atol=1e-9)
     assert len(np.load(out / "points.npz")["xyz"]) > 100

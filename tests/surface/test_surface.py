@@ -181,13 +181,16 @@ def test_covering_triangles_are_counted_texel_by_texel():
     """Against the three edges' signs at every texel centre, some triangles beyond the square."""
     rng = numpy_rng(0)
     uv = rng.uniform(-0.3, 1.3, (60, 2))
-    faces = rng.integers(0, 60, (40, 3))
+    faces = np.array([rng.choice(60, 3, replace=False) for _ in range(40)])
     u, v = np.meshgrid((np.arange(32) + 0.5) / 32, 1 - (np.arange(32) + 0.5) / 32)
     count = np.zeros((32, 32), int)
+    clear = np.ones((32, 32), bool)  # of every edge by more than rounding
     for corners in uv[faces]:
         ends = np.roll(corners, -1, axis=0)
         sides = [
             (q[0] - p[0]) * (v - p[1]) - (q[1] - p[1]) * (u - p[0]) for p, q in zip(corners, ends)
         ]
         count += (np.min(sides, 0) > 0) | (np.max(sides, 0) < 0)
-    assert (rasterize(uv, faces, 32) == count).all() and count.max() > 3
+        clear &= np.min(np.abs(sides), 0) > 1e-5
+    assert (rasterize(uv, faces, 32) == count)[clear].all() and count.max() > 3
+    assert clear.mean() > 0.98
