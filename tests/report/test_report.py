@@ -160,6 +160,7 @@ def test_trust_is_on_the_page_and_in_the_metrics(page, page_of_one):
     assert metrics["trust"] is None and "takes two samples at least" in html
 
 
+@pytest.mark.slow
 def test_normal_map_is_on_the_page_where_there_is_one(page, work, tmp_path):
     _, html, _ = page
     assert "normal map" not in html
@@ -261,6 +262,7 @@ def test_facts_of_the_page_are_the_stages_own(work):
     )
 
 
+@pytest.mark.slow
 def test_choices_are_said_with_their_evidence(page, work):
     """Nothing where `choose` is off; else what was chosen, what was allowed, and why."""
     _, html, _ = page

@@ -92,6 +92,7 @@ def test_the_shipped_model_fits_the_evidence():
     assert probability(GOOD, model) < 0.2 < 0.8 < probability(hopeless, model)
 
 
+@pytest.mark.slow
 def test_evidence_of_a_run(work, monkeypatch):  # noqa: F811
     monkeypatch.setattr(trust, "SPP", 8)  # enough to tell one draw from another
     rig = load_cameras(work / "poses" / "cameras.json")
