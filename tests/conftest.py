@@ -87,7 +87,7 @@ def one_thread():
     drjit.set_thread_count(before)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def ring():
     """views(n, size, radius, elevation) -> Views on a ring around the origin."""
     from pipeline.geometry.cameras import View

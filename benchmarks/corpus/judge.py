@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import resource
 import runpy
@@ -34,6 +35,14 @@ OLD = "left by an earlier run"
 NOT_POSSIBLE = 77  # exit status of a case that this machine cannot try
 ENDINGS = {None: "hang", 0: "result", 2: "message", NOT_POSSIBLE: "not tried"}
 STOPPED = "Heliograph cannot go on."
+# What a stage imports and may be shared by all processes: loaded once, before they begin. Not
+# Mitsuba, whose threads would not be there in a child.
+LOADED = {
+    "capture": ("pipeline.run.stage", "pipeline.photos.capture"),
+    "poses": ("pipeline.photos.poses", "pycolmap"),
+    "masks": ("pipeline.masks.make",),
+    "choose": ("scipy.stats", "torch"),
+}
 
 
 def arguments(case: Case, project: Project, stage: str) -> list[str]:
@@ -60,6 +69,8 @@ def stay_inside(project: Project, words: list[str]) -> None:
 def run(case: Case, project: Project, stage: str, log: Path) -> tuple[int | None, float]:
     """Run a stage; (exit status, negative for a signal, None where time ran out; seconds)."""
     words = arguments(case, project, stage)
+    for name in LOADED.get(stage, ()):
+        importlib.import_module(name)
     start = time.monotonic()
     child = os.fork()
     if child == 0:

@@ -59,5 +59,6 @@ def _cover(corners: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.n
                 if s > 1e-6 and t > 1e-6 and s + t < 1 - 1e-6:
                     count[row, column] += 1
                     face[row, column] = k
-                    weight[row, column] = s, t
+                    weight[row, column, 0] = s
+                    weight[row, column, 1] = t
     return count, face, weight

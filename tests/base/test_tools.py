@@ -210,6 +210,7 @@ def test_doctor_renders(monkeypatch):
     ]
 
 
+@pytest.mark.slow
 def test_threads_are_obeyed_by_libraries_that_are_loaded_later():
     code = """
 from pipeline.base.runtime import set_threads

@@ -116,6 +116,7 @@ key = st.text(max_size=4) | st.sampled_from([*Scene.model_fields, "grid", "metho
 tree = st.recursive(scalar, lambda part: st.lists(part) | st.dictionaries(key, part), max_leaves=8)
 
 
+@pytest.mark.slow
 @given(st.dictionaries(key, tree, max_size=4))
 @settings(derandomize=True, deadline=None, max_examples=60)
 def test_any_mapping_is_a_configuration_or_refused(own):

@@ -81,6 +81,7 @@ def test_normals_are_compared_in_the_truths_frame(ball, ring):
     assert 0.3 < len(half) / len(whole) < 0.9
 
 
+@pytest.mark.slow
 def test_a_true_mesh_has_no_error(tmp_path, ball, ring):
     views = ring(6)
     save_cameras(tmp_path / "cameras.json", Rig(views, np.zeros(3), 0.6, "given"))

@@ -114,6 +114,7 @@ def test_speed_counts_refinement(data):
     assert speed_against(data).startswith("On 1 scene `dpi_paper_1000` takes 30.0 times")
 
 
+@pytest.mark.slow
 def test_charts_are_the_same_for_the_same_rows(data, tmp_path):
     for run in ("one", "two"):
         (tmp_path / run).mkdir()

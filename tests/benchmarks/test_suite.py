@@ -69,6 +69,7 @@ def test_maps_are_materials():
     assert kinds == {"diffuse", "glossy", "metal", "mixed", "concave"} and len(OBJECTS) == 8
 
 
+@pytest.mark.slow
 def test_scenes_are_made_again_bit_for_bit(tmp_path, one_thread):
     options = Options(size=24, spp=4, views=2, test=1)
     for run in ("one", "two"):

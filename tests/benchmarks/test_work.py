@@ -137,6 +137,7 @@ def base(value, out):
     return out / "scene"
 
 
+@pytest.mark.slow
 def test_a_failed_run_names_its_log(tmp_path, monkeypatch):
     monkeypatch.setattr(chain_runs, "ROOT", tmp_path / "nothing")
     with pytest.raises(InputError, match="the run failed"):

@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -30,6 +30,7 @@ from pipeline.render.renderer import Explanation, Renderer
 from pipeline.run.workflow import WAITS
 from pipeline.usd.check import check
 from tests.conftest import look_at
+from tests.dag.snakemake_server import Server
 from tests.seeds import numpy_rng, seeded
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,7 +48,12 @@ sample:
   search_prior: search.safetensors
   light: 16
   texture: 16
-refine: {{steps: 4, pixels: 300, spp: 2, texture: 48}}
+  points: 60
+  smooth: 1
+  search_points: 30
+  search_sweeps: 1
+  region_steps: 20
+refine: {{steps: 4, pixels: 300, spp: 2, texture: 48, shading_pixels: 1000, score_spp: 16}}
 report: {{relight_size: 48, spp: 4}}
 """
 CHOOSING = "choose: {enabled: true, texture: auto, bounces: auto, light: auto}\n"
@@ -60,13 +66,17 @@ MOST_STEPS = 100_000  # of a fit: minutes on any machine, and it is killed long 
 DRAWS = {"sample", "refine", "export", "report"}
 
 
-def command(folder: Path, *arguments: str, code: Path = ROOT) -> list[str]:
-    """Snakemake in the project `folder` with the Snakefile of `code`."""
+def words(folder: Path, *arguments: str, code: Path = ROOT) -> list[str]:
+    """What to tell Snakemake in the project `folder` with the Snakefile of `code`."""
     return [
-        *(sys.executable, "-m", "snakemake", "-s", str(code / "Snakefile")),
-        *("--profile", str(code / "profiles/default"), "--directory", str(folder)),
-        *("--cores", "2", *arguments),
+        *("-s", str(code / "Snakefile"), "--profile", str(code / "profiles/default")),
+        *("--directory", str(folder), "--cores", "2", *arguments),
     ]
+
+
+def command(folder: Path, *arguments: str) -> list[str]:
+    """Snakemake as in a user's shell."""
+    return [sys.executable, "-m", "snakemake", *words(folder, *arguments)]
 
 
 def surroundings(folder: Path, code: Path = ROOT) -> dict:
@@ -74,15 +84,33 @@ def surroundings(folder: Path, code: Path = ROOT) -> dict:
     return {"cwd": folder, "env": os.environ | {"PYTHONPATH": str(code)}}
 
 
-def snakemake(folder: Path, *arguments: str, code: Path = ROOT) -> subprocess.CompletedProcess:
-    """Run it to its end."""
-    return subprocess.run(
-        command(folder, *arguments, code=code),
-        capture_output=True,
-        text=True,
-        check=False,
-        **surroundings(folder, code),
-    )
+@pytest.fixture(scope="module")
+def snakemake(tmp_path_factory) -> Iterator[Callable[..., subprocess.CompletedProcess]]:
+    """snakemake(folder, *arguments, code=ROOT): run it to its end, in a child of one process that
+    has loaded it.
+    """
+    with Server(tmp_path_factory.mktemp("server")) as server:
+
+        def run(folder: Path, *arguments: str, code: Path = ROOT) -> subprocess.CompletedProcess:
+            return server.run(words(folder, *arguments, code=code), **surroundings(folder, code))
+
+        yield run
+
+
+@pytest.fixture(scope="module")
+def jobs(snakemake) -> Callable[..., set[str]]:
+    """jobs(folder, *arguments, code=ROOT): rules that a dry run would execute."""
+
+    def planned(folder: Path, *arguments: str, code: Path = ROOT) -> set[str]:
+        plan = snakemake(folder, "-n", *arguments, code=code)
+        assert plan.returncode == 0, plan.stderr
+        return {
+            line.split()[-1].rstrip(":")
+            for line in (plan.stdout + plan.stderr).splitlines()
+            if line.startswith(("rule ", "localrule "))
+        }
+
+    return planned
 
 
 def exported(scene: str) -> list[str]:
@@ -135,17 +163,6 @@ def project(tmp_path_factory, ball) -> Path:
         scene / "mesh.ply", Mesh(mesh.vertices @ back.T, mesh.faces, mesh.normals @ back.T, mesh.uv)
     )
     return folder
-
-
-def jobs(folder: Path, *arguments: str, code: Path = ROOT) -> set[str]:
-    """Rules that a dry run would execute."""
-    plan = snakemake(folder, "-n", *arguments, code=code)
-    assert plan.returncode == 0, plan.stderr
-    return {
-        line.split()[-1].rstrip(":")
-        for line in (plan.stdout + plan.stderr).splitlines()
-        if line.startswith(("rule ", "localrule "))
-    }
 
 
 def files_in(folder: Path) -> dict[str, bytes]:
@@ -228,7 +245,7 @@ def test_a_body_has_no_more_gloss_than_its_rung(project):
             assert not read_exr(folder / "metallic.exr").any()
 
 
-def test_nothing_to_do_when_nothing_changed(project):
+def test_nothing_to_do_when_nothing_changed(project, jobs):
     """For all scenes: the first rule, `all`."""
     assert jobs(project) == set()
 
@@ -243,7 +260,7 @@ def code(tmp_path_factory) -> Path:
     return folder
 
 
-def test_an_edited_comment_plans_no_job_and_edited_code_does(project, code):
+def test_an_edited_comment_plans_no_job_and_edited_code_does(project, code, jobs):
     file = code / "pipeline/base/images.py"
     text = file.read_text(encoding="utf-8")
     file.write_text(f"# A comment.\n{text.replace(chr(34) * 3, chr(34) * 3 + 'Or: ', 1)}\n\n\n")
@@ -258,7 +275,7 @@ def test_an_edited_comment_plans_no_job_and_edited_code_does(project, code):
     assert jobs(project, *exported("toy"), code=code) == {"report"}
 
 
-def test_replaced_weights_rerun_samples_and_what_follows(project):
+def test_replaced_weights_rerun_samples_and_what_follows(project, jobs):
     weights = project / "prior.safetensors"
     before = weights.read_bytes()
     shutil.copyfile(ROOT / "weights" / "prior_small.safetensors", weights)
@@ -266,7 +283,7 @@ def test_replaced_weights_rerun_samples_and_what_follows(project):
     weights.write_bytes(before)
 
 
-def test_a_replaced_mask_reruns_from_the_capture_on(project):
+def test_a_replaced_mask_reruns_from_the_capture_on(project, jobs):
     mask = next(project.glob("Fotos*/masks/Bild 4.png"))
     before = mask.read_bytes()
     pixels = np.array(Image.open(mask))
@@ -276,12 +293,12 @@ def test_a_replaced_mask_reruns_from_the_capture_on(project):
     mask.write_bytes(before)
 
 
-def test_the_same_files_written_again_are_no_reason(project):
+def test_the_same_files_written_again_are_no_reason(project, jobs):
     """As the two tests before have left them."""
     assert jobs(project) == set()
 
 
-def test_one_option_reruns_only_what_depends_on_it(project):
+def test_one_option_reruns_only_what_depends_on_it(project, jobs):
     refine = jobs(project, "exports/toy.usda", "--config", "refine={steps: 5}")
     assert refine == {"refine", "export"}
     assert "sample" in jobs(project, "exports/toy.usda", "--config", "fit={steps: 7}")
@@ -290,7 +307,7 @@ def test_one_option_reruns_only_what_depends_on_it(project):
     assert "mesh" not in jobs(project, "exports/toy.usda", "--config", "observe={pixels: 2000}")
 
 
-def test_more_samples_only_add_jobs(project):
+def test_more_samples_only_add_jobs(project, snakemake):
     plan = snakemake(project, "-n", "exports/toy.usda", "--config", "samples=3")
     text = plan.stdout + plan.stderr
     count = {
@@ -328,7 +345,7 @@ def test_sample_alone_equals_sample_among_others(project, tmp_path):
         ).read_bytes()
 
 
-def test_a_file_that_has_lost_its_end_is_made_again(project):
+def test_a_file_that_has_lost_its_end_is_made_again(project, snakemake, jobs):
     """With its time kept, as after a power cut: nothing else tells."""
     target = f"work/{ODD}/refine/0/refine.json"
     file = project / "work" / ODD / "refine/0/roughness.exr"
@@ -343,7 +360,7 @@ def test_a_file_that_has_lost_its_end_is_made_again(project):
     assert jobs(project, target) == set()
 
 
-def test_a_failed_stage_is_due_again(project):
+def test_a_failed_stage_is_due_again(project, snakemake, jobs):
     """Its old result and all made from it stay in place, but do not pass for up to date."""
     work, more = project / "work" / ODD, ("--config", "fit={steps: 9}")
     before = files_in(work / "fit"), (project / f"exports/{ODD}.usda").read_bytes()
@@ -357,7 +374,7 @@ def test_a_failed_stage_is_due_again(project):
     assert jobs(project, f"exports/{ODD}.usda", *more) == {"fit", "sample", "refine", "export"}
 
 
-def test_a_killed_run_continues(project, tmp_path):
+def test_a_killed_run_continues(project, tmp_path, snakemake, jobs):
     """kill -9 of Snakemake alone in the middle of the fit, with the old result still in place: the
     next run waits for the stage that was left behind, and when that is killed too, finishes the
     work. Before, the scene was refused to a second run.
@@ -370,9 +387,9 @@ def test_a_killed_run_continues(project, tmp_path):
         wait_for(lambda: (work / ".partial-fit").exists(), running)
 
         refused = snakemake(project, target)
-        words = refused.stdout + refused.stderr
-        assert refused.returncode != 0 and "another run is at work on this scene" in words
-        assert "Traceback" not in words
+        said = refused.stdout + refused.stderr
+        assert refused.returncode != 0 and "another run is at work on this scene" in said
+        assert "Traceback" not in said
         assert "fit" in jobs(project, target, "--config", "fit={steps: 7}")  # a plan is none
 
         os.kill(running.pid, signal.SIGKILL)
@@ -393,10 +410,10 @@ def test_a_killed_run_continues(project, tmp_path):
 
 
 @contextmanager
-def left_behind(words: list[str], folder: Path) -> Iterator[subprocess.Popen]:
-    """A run of these words in a process group of its own, all of which is killed at the end."""
+def left_behind(run: list[str], folder: Path) -> Iterator[subprocess.Popen]:
+    """A run of this command in a process group of its own, all of which is killed at the end."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    running = subprocess.Popen(words, start_new_session=True, **quiet, **surroundings(folder))
+    running = subprocess.Popen(run, start_new_session=True, **quiet, **surroundings(folder))
     try:
         yield running
     finally:
@@ -412,22 +429,22 @@ def wait_for(happened, running: subprocess.Popen) -> None:
 
 
 @pytest.mark.parametrize("name", ["-rf", "a{b}"])
-def test_names_that_cannot_be_are_refused(project, name):
+def test_names_that_cannot_be_are_refused(project, name, snakemake):
     done = snakemake(project, "-n", "--", f"exports/{name}.usda")
-    words = done.stdout + done.stderr
-    assert done.returncode != 0 and "cannot be the name of a scene" in words
-    assert "Traceback" not in words
+    said = done.stdout + done.stderr
+    assert done.returncode != 0 and "cannot be the name of a scene" in said
+    assert "Traceback" not in said
 
 
 @pytest.mark.parametrize(
-    "change, words",
+    "change, expected",
     [
         ("samples: 0", ["samples", "greater than or equal to 1"]),
         ("smples: 3", ["smples", "samples"]),
         ("photos: nowhere", ["nowhere", "does not exist"]),
     ],
 )
-def test_mistakes_come_as_plain_messages(project, change, words):
+def test_mistakes_come_as_plain_messages(project, change, expected, snakemake):
     key = change.split(":")[0]
     lines = [
         x
@@ -437,7 +454,9 @@ def test_mistakes_come_as_plain_messages(project, change, words):
     (project / "configs" / "wrong.yaml").write_text("\n".join(lines + [change]), encoding="utf-8")
     done = snakemake(project, "exports/wrong.usda")
     text = done.stdout + done.stderr
-    assert done.returncode != 0 and all(w in text for w in words) and "Traceback" not in text, text
+    assert done.returncode != 0 and all(w in text for w in expected) and "Traceback" not in text, (
+        text
+    )
 
 
 def test_every_stage_explains_itself():

@@ -29,6 +29,7 @@ def test_every_table_stands_on_a_page():
     assert {name for _, name, *_ in tables.BETWEEN_MARKS.findall(text)} == set(tables.TABLES)
 
 
+@pytest.mark.slow
 def test_every_file_of_rows_feeds_a_table(monkeypatch):
     read, results = set(), tables.results
     monkeypatch.setattr(tables, "results", lambda name: read.add(name) or results(name))

@@ -3,6 +3,7 @@
 import tracemalloc
 
 import numpy as np
+import pytest
 
 from pipeline.geometry.cameras import Rig
 from pipeline.masks import ground
@@ -10,6 +11,7 @@ from pipeline.masks.ground import TEXTURE, bare_ground
 from tests.seeds import numpy_rng
 
 
+@pytest.mark.slow
 def test_the_bare_ground_is_the_same_in_parts_and_needs_no_stack_of_all_views(ring, monkeypatch):
     """Memory does not grow by a texture of the ground with every photo."""
     rng = numpy_rng(0)

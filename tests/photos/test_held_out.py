@@ -119,6 +119,7 @@ def test_masks_for_scoring_are_the_surfaces_or_the_users(ring, tmp_path):
     assert (drawn == (closest < 0.5)).mean() > 0.97
 
 
+@pytest.mark.slow
 def test_no_stage_looks_at_a_photo_that_is_held_out(ring, tmp_path):
     """It is not even there; and its mask comes from the surface that the others show."""
     from pipeline.masks.make import make_masks

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import pytest
 import torch
 
 from pipeline.posterior.adam import Adam
@@ -36,6 +37,7 @@ def test_same_bits_as_torchs_class():
         assert torch.equal(a, b)
 
 
+@pytest.mark.slow
 def test_the_compiler_is_not_imported():
     code = (
         "import sys, torch; from pipeline.posterior.adam import Adam\n"

@@ -50,6 +50,7 @@ def test_its_slope_is_that_of_loss_and_prior(name):
     assert float((light.z.grad * along).sum()) == pytest.approx(quotient, rel=0.03, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_inversion_comes_near_a_light_that_the_generator_made(name):
     """Least squares in log radiance; a draw of the prior is as far from another as z = 0 is, or
@@ -66,6 +67,7 @@ def test_inversion_comes_near_a_light_that_the_generator_made(name):
     assert error(light.light()) < 0.3 * first
 
 
+@pytest.mark.slow
 def test_latents_without_photos_go_to_zero():
     generator = load_generator("gan_latent")
     light = LatentLight(generator, latents(generator, 4), 32, 1.0, 1.0, 0.05)

@@ -110,6 +110,7 @@ def test_fresh_seeds_give_fresh_noise_and_equal_seeds_equal_pictures(renderer):
     assert not (renderer.radiance(*rays, seeded(1)) == renderer.radiance(*rays, seeded(2))).all()
 
 
+@pytest.mark.slow
 def test_hard_cases_give_no_nan(renderer):
     """Black albedo, mirror-like and fully rough metal, a light with one bright pixel, grazing
     rays.

@@ -66,6 +66,7 @@ def test_mitsuba_shades_with_our_normals(bumpy):
     assert np.median(degrees_between(ours[:, 2], truth)) < 1
 
 
+@pytest.mark.slow
 def test_picture_with_map_is_the_dense_surfaces(bumpy, without_map, ring, tmp_path):
     """Against the dense surface's own path-traced picture, uniform material. Outlines differ: the
     pixels that all three pictures cover count, less a rim.

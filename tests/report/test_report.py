@@ -1,11 +1,10 @@
 """The report: one file, no outside address, every sample in it, and plain words about what went
-wrong.
+wrong. What several tests look for on the same page is looked for in one report (`page`).
 """
 
 import base64
 import io
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +18,10 @@ from pipeline.base.files import read_json, write_json
 from pipeline.base.images import linear_to_srgb, srgb_to_linear, to_srgb8, write_exr, write_png
 from pipeline.geometry.cameras import Rig, save_cameras
 from pipeline.geometry.mesh_io import load_mesh
+from pipeline.geometry.normal_maps import write_normal_map
 from pipeline.render.metrics import render_view
 from pipeline.render.renderer import Renderer
+from pipeline.report import trust
 from pipeline.report.draws import samples_needed
 from pipeline.report.make import make_report
 from pipeline.report.pictures import Painter, evening_light, heat
@@ -28,6 +29,7 @@ from tests.render.test_renderer import explanation
 
 SIZE = 48
 SCENE = Scene(photos="nowhere", samples=2, preset="draft", report={"relight_size": 32, "spp": 16})
+ALONE = SCENE.model_copy(update={"samples": 1})
 FACTS = {
     "capture": {"clipped_share": 0.05},
     "poses": {"registered": 4, "photos": 5, "unregistered": ["blurred <b>"]},
@@ -49,13 +51,44 @@ def photos(ball: Path, views) -> list[np.ndarray]:
     return PHOTOS
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_paths():
+    """A report's evidence from few paths a pixel: what is said of it is on the page all the same.
+    Its figures: test_trust.py.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trust, "SPP", 4)
+        yield
+
+
 @pytest.fixture
 def work(tmp_path, ball, ring) -> Path:
+    """Folders of a whole run on the ball, to be changed."""
+    return finished_run(tmp_path / "work", ball, ring(4, SIZE))
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory, ball, ring) -> tuple[dict, str, Path]:
+    """Metrics and text of the report of a run that nobody has changed, and the run's place."""
+    place = tmp_path_factory.mktemp("reported")
+    work = finished_run(place / "work", ball, ring(4, SIZE))
+    out = place / "exports" / "mein garten é_report.html"
+    metrics = make_report(work, place / "mein <garten> é.usda", out, SCENE)
+    return metrics, out.read_text(encoding="utf-8"), place
+
+
+@pytest.fixture(scope="module")
+def page_of_one(page) -> tuple[dict, str]:
+    """The same of the run's first sample alone."""
+    *_, place = page
+    metrics = make_report(place / "work", place / "a.usda", place / "a.html", ALONE)
+    return metrics, (place / "a.html").read_text(encoding="utf-8")
+
+
+def finished_run(work: Path, ball: Path, views) -> Path:
     """Folders of a whole run on the ball: view v1 is held out, its photo is rendered from sample
     0.
     """
-    work = tmp_path / "work"
-    views = ring(4, SIZE)
     (work / "atlas").mkdir(parents=True)
     for f in ball.iterdir():
         (work / "atlas" / f.name).symlink_to(f)
@@ -86,13 +119,11 @@ def work(tmp_path, ball, ring) -> Path:
     return work
 
 
-def test_page_is_whole_and_self_contained(work, tmp_path):
-    out = tmp_path / "exports" / "mein garten é_report.html"
-    metrics = make_report(work, tmp_path / "mein <garten> é.usda", out, SCENE)
-    html = out.read_text(encoding="utf-8")
+def test_page_is_whole_and_self_contained(page):
+    metrics, html, place = page
     sources = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?([^"\'\s>)]*)', html)
     assert sources and all(s.startswith("data:image/") for s in sources)
-    assert not re.search(r"https?://|//[a-z]+\.|@import|<script|" + re.escape(str(tmp_path)), html)
+    assert not re.search(r"https?://|//[a-z]+\.|@import|<script|" + re.escape(str(place)), html)
     for s in sources:  # every picture decodes
         Image.open(io.BytesIO(base64.b64decode(s.split(",", 1)[1]))).load()
     # photos, masks, mesh, atlas, photo; 4 spreads; 3 lights + 6 pictures of each sample
@@ -114,29 +145,27 @@ def test_a_scene_of_which_nothing_was_held_out_says_so(work, tmp_path):
     assert metrics["trust"] is None
 
 
-def test_warnings_are_on_the_page(work, tmp_path):
-    make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
-    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+def test_warnings_are_on_the_page(page):
+    _, html, _ = page
     assert "1 of 5 photos could not be placed" in html and "blurred &lt;b&gt;" in html
     assert "5 % of the pixels are saturated" in html and "fit: the fit stopped early" in html
 
 
-def test_trust_is_on_the_page_and_in_the_metrics(work, tmp_path):
-    metrics = make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
-    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+def test_trust_is_on_the_page_and_in_the_metrics(page, page_of_one):
+    metrics, html, _ = page
     assert 'class="trust"' in html and "The chance that pictures under new light" in html
     found = metrics["trust"]
     assert found["explained"] == 30.5 and 0 < found["chance_of_failure"] < 1
-    one = SCENE.model_copy(update={"samples": 1})
-    assert make_report(work, tmp_path / "a.usda", tmp_path / "a.html", one)["trust"] is None
-    assert "takes two samples at least" in (tmp_path / "a.html").read_text(encoding="utf-8")
+    metrics, html = page_of_one
+    assert metrics["trust"] is None and "takes two samples at least" in html
 
 
-def test_normal_map_is_on_the_page_where_there_is_one(work, bumpy, tmp_path):
-    make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
-    assert "normal map" not in (tmp_path / "a.html").read_text(encoding="utf-8")
+@pytest.mark.slow
+def test_normal_map_is_on_the_page_where_there_is_one(page, work, tmp_path):
+    _, html, _ = page
+    assert "normal map" not in html
 
-    shutil.copy(bumpy / "normal.png", work / "atlas")
+    write_normal_map(work / "atlas" / "normal.png", np.broadcast_to([0.0, 0.0, 1.0], (8, 8, 3)))
     facts = {"utilisation": 0.6, "normal_map_median_tilt": 7.25}
     write_json(work / "atlas" / "atlas.json", facts)
     make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
@@ -145,11 +174,8 @@ def test_normal_map_is_on_the_page_where_there_is_one(work, bumpy, tmp_path):
     assert html.count("data:image/") == 5 + 4 + 2 * 9 + 1
 
 
-def test_one_sample_shows_no_spread(work, tmp_path):
-    make_report(
-        work, tmp_path / "a.usda", tmp_path / "a.html", SCENE.model_copy(update={"samples": 1})
-    )
-    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+def test_one_sample_shows_no_spread(page_of_one):
+    _, html = page_of_one
     assert "One sample shows no spread" in html and "standard deviation of" not in html
 
 
@@ -236,10 +262,11 @@ def test_facts_of_the_page_are_the_stages_own(work):
     )
 
 
-def test_choices_are_said_with_their_evidence(work):
+@pytest.mark.slow
+def test_choices_are_said_with_their_evidence(page, work):
     """Nothing where `choose` is off; else what was chosen, what was allowed, and why."""
-    html = lambda: (make_report(work, Path("x.usda"), work / "r.html", SCENE), work / "r.html")[1]
-    assert "No more model" not in html().read_text(encoding="utf-8")
+    _, html, _ = page
+    assert "No more model" not in html
 
     bounces = {
         "chosen": {"render": {"max_depth": 2}},
@@ -269,7 +296,8 @@ def test_choices_are_said_with_their_evidence(work):
     refined = read_json(work / "refine" / "1" / "refine.json")
     write_json(work / "refine" / "1" / "refine.json", refined | {"gloss": gloss})
 
-    said = html().read_text(encoding="utf-8")
+    make_report(work, Path("x.usda"), work / "r.html", SCENE)
+    said = (work / "r.html").read_text(encoding="utf-8")
     assert "over 1 surface interactions, 3 were allowed" in said
     assert "hides 3.1 % of its own sky, and what is left out is 1.4 %" in said
     assert "has 120 steps of 1366 pixels and 64 texels a side, 300, 8192 and 256 were" in said
@@ -280,7 +308,7 @@ def test_choices_are_said_with_their_evidence(work):
     assert "20 % matt (gloss map would save +5.0 % ± 4.0 of the error)" in said
 
 
-def test_samples_needed_follow_from_their_spread(work):
+def test_samples_needed_follow_from_their_spread(page):
     """Of two base colours that differ by d everywhere the standard deviation is d / sqrt 2."""
     one = explanation(16, 8, seed=0)
     color = np.full((16, 16, 3), 0.2, np.float32)
@@ -292,6 +320,5 @@ def test_samples_needed_follow_from_their_spread(work):
     assert samples_needed([pair[0], pair[0]])["samples_needed"] == 2
     assert samples_needed(pair[:1]) == {}
 
-    metrics = make_report(work, Path("x.usda"), work / "r.html", SCENE)
-    said = (work / "r.html").read_text(encoding="utf-8")
+    metrics, said, _ = page
     assert f"so {metrics['samples_needed']} give a mean" in said

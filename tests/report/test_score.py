@@ -76,6 +76,7 @@ def wrong(x: Explanation) -> Explanation:
     return other
 
 
+@pytest.mark.slow
 def test_a_right_asset_scores_at_the_limit_and_a_wrong_one_less(scene, ball, tmp_path):
     x = true_explanation(scene)
     truth = load_truth(scene / "scene")

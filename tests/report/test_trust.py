@@ -9,6 +9,7 @@ import pytest
 
 from pipeline.geometry.cameras import load_cameras
 from pipeline.render.renderer import Explanation
+from pipeline.report import trust
 from pipeline.report.trust import (
     ADVICE,
     NO_EVIDENCE,
@@ -91,7 +92,9 @@ def test_the_shipped_model_fits_the_evidence():
     assert probability(GOOD, model) < 0.2 < 0.8 < probability(hopeless, model)
 
 
-def test_evidence_of_a_run(work):  # noqa: F811
+@pytest.mark.slow
+def test_evidence_of_a_run(work, monkeypatch):  # noqa: F811
+    monkeypatch.setattr(trust, "SPP", 8)  # enough to tell one draw from another
     rig = load_cameras(work / "poses" / "cameras.json")
     draws = [Explanation.load(work / "refine" / str(k)) for k in range(2)]
     found = evidence(work, rig, draws, SCENE, [30.0, 31.0])

@@ -58,6 +58,7 @@ def world_points(depth):
     return o + d * along[:, None], turned
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [0.0, 0.6])
 def test_depth_and_normals_of_a_painted_plane(slope):
     views = cameras()
@@ -72,6 +73,7 @@ def test_depth_and_normals_of_a_painted_plane(slope):
         assert np.degrees(np.median(np.arccos(np.clip(normals @ true, -1, 1)))) < 8
 
 
+@pytest.mark.slow
 def test_a_plane_without_paint_has_no_depth():
     views = cameras()
     hull = box([-0.5, -0.4, -0.45], [0.5, 0.4, 0.45])
@@ -80,6 +82,7 @@ def test_a_plane_without_paint_has_no_depth():
     assert share < 0.02
 
 
+@pytest.mark.slow
 def test_same_seed_same_depth_whatever_the_threads():
     views = cameras()[:4]
     images = pictures(views, 0.3)

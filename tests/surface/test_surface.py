@@ -139,6 +139,7 @@ def test_atlas_has_no_overlap_and_faces_outward(ball):
     )
 
 
+@pytest.mark.slow
 def test_overlapping_uvs_are_unwrapped_anew_and_good_ones_kept(tmp_path, ball):
     mesh = load_mesh(ball / "mesh_uv.ply")
     save_mesh(tmp_path / "good.ply", mesh)

@@ -32,6 +32,7 @@ def test_a_convex_object_needs_direct_light_only(tmp_path):
     assert facts["hemisphere_blocked_by_the_object"]["95%"] == 0
 
 
+@pytest.mark.slow
 def test_inside_a_spherical_bowl_radiosity_is_known(tmp_path):
     """Every point of a sphere sees every area of it alike: of a bowl of which the part a remains,
     each inner point has K 1 = a, so E_k = (1 - a) (rho a)^k, and the d-th order and all after it

@@ -374,6 +374,7 @@ def test_dpi_code_is_the_released_algorithm(label, steps):
     assert len(set(problem.renderer.seeds)) == 2 * steps
 
 
+@pytest.mark.slow
 def test_sds_is_score_distillation():
     world, chosen = World(), settings()
     problem = problem_of(world)

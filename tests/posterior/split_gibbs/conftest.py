@@ -34,7 +34,7 @@ def rows(transport) -> RowLikelihood:  # noqa: F811
         ceiling=ALBEDO_MAX / rng.uniform(1, 1.6, (POINTS, 3)),
     )
     materials = RegionMaterials(
-        color=rng.uniform(0.2, 0.7, (2, 3)),
+        color=rng.uniform(0.2, 0.6, (2, 3)),  # below every ceiling
         spread=np.array([0.1, 0.5]),
         roughness=np.array([6, 16]),
         metallic=np.array([0.0, 0.8]),

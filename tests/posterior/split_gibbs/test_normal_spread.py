@@ -4,6 +4,7 @@ from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from pipeline.posterior.split_gibbs.lobes import NO_SPREAD, LobeTable
 from pipeline.posterior.split_gibbs.material_prior import log_roughness
@@ -59,6 +60,7 @@ def grey() -> RegionMaterials:
     return RegionMaterials(np.full((2, 3), 0.3), np.full(2, 0.3), np.array([2, 0]), np.zeros(2))
 
 
+@pytest.mark.slow
 def test_draws_have_the_joint_probability():
     """Roughness of region 0 and the spreads of its two points, against all combinations."""
     model, rng = Curve(0.8), numpy_rng(0)

@@ -219,6 +219,7 @@ def test_cache_of_something_else(tmp_path):
         Data.load(tmp_path / "data.npz", 8)
 
 
+@pytest.mark.slow
 def test_training_learns_and_resumes(cache, tmp_path, monkeypatch):
     monkeypatch.setattr(training, "WARM_UP", 1)
     config, data, out = Training(**TINY), Data.load(cache, 8), tmp_path / "run"
