@@ -16,7 +16,7 @@ from scipy import ndimage, sparse
 
 from pipeline.base.config import Atlas
 from pipeline.geometry import normal_maps
-from pipeline.geometry.mesh_io import Mesh, adjacency, load_mesh, unit
+from pipeline.geometry.mesh_io import Mesh, load_mesh, unit, vertex_adjacency
 from pipeline.geometry.normal_maps import face_tangents, frames_of
 from pipeline.surface.preview import caster
 from pipeline.surface.raster import texel_faces
@@ -34,7 +34,7 @@ def filtered_normals(mesh: Mesh, steps: int = STEPS) -> np.ndarray:
     """Vertex normals (n, 3) averaged `steps` times over their neighbours, which count by how alike
     their normals are: bilateral normal filtering (Zheng et al. 2011), of vertices.
     """
-    one_end, other_end = adjacency(len(mesh.vertices), mesh.faces).nonzero()
+    one_end, other_end = vertex_adjacency(len(mesh.vertices), mesh.faces).nonzero()
 
     normal = unit(mesh.normals)
     for _ in range(steps):

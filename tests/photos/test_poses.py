@@ -10,14 +10,11 @@ from pipeline.base.errors import InputError
 from pipeline.base.images import write_exr
 from pipeline.geometry.cameras import Rig, View, load_cameras, save_cameras
 from pipeline.photos.given_cameras import Lens, read_transforms, turned_right
-from pipeline.photos.poses import (
-    axes_meeting_point,
-    ground_plane,
-    rotation_to_y,
-    similarity,
-    undistort,
-)
+from pipeline.photos.ground_plane import ground_plane
+from pipeline.photos.library_frame import rotation_to_y, similarity
 from pipeline.photos.sfm import write_inputs
+from pipeline.photos.undistort import undistort
+from pipeline.photos.viewpoints import axes_meeting_point
 from tests.seeds import numpy_rng
 
 ALL = Observe(held_out=0)  # every photo is used
@@ -116,13 +113,11 @@ def test_ground_is_found_and_turned_level(ring):
         ]
     )
     centers = np.stack([v.position for v in ring(8, elevation=40) if v.position[1] > 0])
-    n, offset, share = ground_plane(
-        flat @ tilt.T, centers @ tilt.T, tilt @ [0, 1, 0], np.zeros(3), 0
-    )
+    plane = ground_plane(flat @ tilt.T, centers @ tilt.T, tilt @ [0, 1, 0], np.zeros(3), 0)
     assert (
-        np.degrees(np.arccos(n @ tilt @ [0, 1, 0])) < 0.5
-        and abs(offset + 0.4) < 0.01
-        and share > 0.4
+        np.degrees(np.arccos(plane.normal @ tilt @ [0, 1, 0])) < 0.5
+        and abs(plane.offset + 0.4) < 0.01
+        and plane.inlier_share > 0.4
     )
 
 

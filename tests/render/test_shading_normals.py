@@ -14,12 +14,12 @@ from pipeline.geometry.mesh_io import load_mesh, save_mesh, unit
 from pipeline.geometry.normal_maps import write_normal_map
 from pipeline.posterior.split_gibbs.lobes import mix
 from pipeline.render.envmap import directions
-from pipeline.render.metrics import render_view
 from pipeline.render.renderer import Renderer
 from pipeline.render.rows import Rows, choose_rows
 from pipeline.render.shading_normals import shading_frames, with_normal_map
 from pipeline.render.transport import Transport
 from tests.conftest import bumpy_normals
+from tests.render.pictures import render_view
 from tests.render.test_renderer import explanation, rays_at_ball
 from tests.render.test_transport import MATERIALS, seen, traced, uniform
 from tests.seeds import seeded
