@@ -48,6 +48,7 @@ from pipeline.masks.volume import Things, axis_distance, hidden, soft_hull, the_
 CURE = "put masks into the scene's folder masks/"
 SURE = 2.0  # log-odds from which on a pixel's side counts as known
 HARD = 8.0  # log-odds of a pixel that the user has masked
+FEW = 95  # percentile of a photo's lightness above which lie highlights and lamps
 BELOW = 0.6  # least log-odds by colour of a ray that ends below the object
 COLOUR = 1.5, 2.5  # largest log-odds by colour, learned from the photos and from given masks
 
@@ -235,10 +236,7 @@ def cut_masks(
 
     What other things hide counts as object where masks vote for a volume, and is not in a mask.
     """
-    eight_bit = {
-        name: np.clip(lab * [2.55, 1, 1] + [0, 128, 128], 0, 255).astype(np.uint8)
-        for name, lab in labs.items()
-    }
+    eight_bit = in_eight_bits(labs)
     points = things.points
     cell = things.cell
     behind = {v.name: hidden(v, things, working_size(v)) for v in rig.views}
@@ -257,6 +255,18 @@ def cut_masks(
         kept = given.get(v.name, masks[v.name] & near & ~behind[v.name]).astype(np.float32)
         out[v.name] = cv2.resize(kept, (v.width, v.height), interpolation=cv2.INTER_CUBIC) > 0.5
     return out
+
+
+def in_eight_bits(labs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Photos in CIELAB as uint8 (h, w, 3): 255 is white, or what few pixels of most photos exceed
+    where that is brighter.
+    """
+    top = max(100.0, float(np.median([np.percentile(lab[..., 0], FEW) for lab in labs.values()])))
+    scale = [255 / top, 1, 1]
+    return {
+        name: np.clip(lab * scale + [0, 128, 128], 0, 255).astype(np.uint8)
+        for name, lab in labs.items()
+    }
 
 
 def _facts(rig: Rig, things: Things, given: dict[str, np.ndarray], plane: bool) -> dict:

@@ -263,7 +263,9 @@ def score_asset(
                     path,
                     "place it in the frame of the scene's transforms.json (Z-up) before scoring",
                 )
-            draws.append(score_explanation(renderer, asset.explanation, truth, spp, step))
+            own = asset.explanation  # in the unit of the user's photos, as the truth's folder is
+            seen = replace(own, light=own.light / truth.white)
+            draws.append(score_explanation(renderer, seen, truth, spp, step))
         values = draws[-1].values | {"outline_overlap": overlap}
         samples[variant or "asset"] = {"scores": values, "views": draws[-1].views}
         notes += [note for note in asset.notes if note not in notes]
