@@ -62,12 +62,7 @@ def plane_masks(poses: Path, rig: Rig, settings: Masks, threads: int) -> tuple[d
     plane = rig.facts.get("plane")
     given = some_given(poses, rig)
     if plane is None and not given:
-        raise InputError(
-            "no ground plane was found, so the object cannot be masked automatically",
-            "masks",
-            "put a mask of one or more photos into the scene's folder masks/, or photograph on a "
-            "textured table",
-        )
+        raise _without_ground(rig)
     height = None if plane is None else float(plane["offset"])
 
     labs = {
@@ -77,6 +72,18 @@ def plane_masks(poses: Path, rig: Rig, settings: Masks, threads: int) -> tuple[d
     things, odds = find_object(rig, labs, height, given, settings.parts, threads)
     masks = cut_masks(rig, labs, odds, things, given, threads)
     return masks, _facts(rig, things, given, plane is not None)
+
+
+def _without_ground(rig: Rig) -> InputError:
+    """What to tell the user where neither a ground nor a mask says what the object is."""
+    known = rig.facts.get("no_ground", {})
+    why = f": {known['why']}" if known else ""
+    return InputError(
+        f"no ground plane was found, so the object cannot be masked automatically{why}",
+        "masks",
+        "put a mask of one or more photos into the scene's folder masks/, or "
+        + known.get("cure", "photograph on a textured table"),
+    )
 
 
 def some_given(poses: Path, rig: Rig) -> dict[str, np.ndarray]:

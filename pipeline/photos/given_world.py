@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.geometry.cameras import Y_FROM_Z_UP, View
 from pipeline.photos.given_cameras import read_transforms
-from pipeline.photos.ground_plane import ground_plane
+from pipeline.photos.ground_plane import NoGround, ground_plane
 from pipeline.photos.object_sphere import MARGIN, object_points, object_sphere
 from pipeline.photos.posed import PosedPhotos
 from pipeline.photos.sfm import SEED, no_points
@@ -58,12 +58,17 @@ def ground_of_given(
     middle = axes_meeting_point(told)
     up = np.array([0.0, 1.0, 0.0])
     plane = ground_plane(xyz, positions(told), up, middle, SEED)
-    if plane is None:
-        return center, radius, {"ground": "no ground plane among the matched points"}
+    if isinstance(plane, NoGround):
+        return center, radius, {"ground": plane.why} | plane.facts()
 
     tilt = float(np.degrees(np.arccos(np.clip(plane.normal @ up, -1, 1))))
     if tilt > MOST_TILTED:
-        return center, radius, {"ground": f"tilted by {tilt:.1f} degrees against the cameras' up"}
+        tilted = NoGround(
+            f"the plane among the matched points is tilted by {tilt:.1f} degrees against the "
+            "cameras' own up, +Z in their file",
+            "export the cameras with the table level",
+        )
+        return center, radius, {"ground": tilted.why} | tilted.facts()
 
     center, radius, how = object_sphere(object_points(xyz, told, [], plane, None), told, plane)
     normal = plane.normal

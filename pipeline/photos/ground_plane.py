@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 TRIPLES = 6000  # tries for the ground plane
+FEWEST_POINTS = 50  # near the object, for a plane to be sought among
 TOLERANCES = 0.004, 0.01  # of the cameras' distance, for points on the ground: fine, coarse
 
 
@@ -25,11 +26,23 @@ class Plane:
         return points @ self.normal - self.offset
 
 
+@dataclass(frozen=True)
+class NoGround:
+    """why: no ground was found, in words; cure: what a user can do about it."""
+
+    why: str
+    cure: str
+
+    def facts(self) -> dict:
+        """What cameras.json says of it, for the masks stage to tell."""
+        return {"no_ground": asdict(self)}
+
+
 def ground_plane(
     xyz: np.ndarray, centers: np.ndarray, up: np.ndarray, middle: np.ndarray, seed: int
-) -> Plane | None:
-    """The ground by RANSAC over the points xyz (n, 3), or None. centers (n, 3): of the cameras; up:
-    their mean, a unit vector; middle (3,): where they look.
+) -> Plane | NoGround:
+    """The ground by RANSAC over the points xyz (n, 3), or why there is none. centers (n, 3): of the
+    cameras; up: their mean, a unit vector; middle (3,): where they look.
 
     A ground plane has its normal within 40 degrees of the cameras' mean up, all cameras above it,
     and at least 12 % of the nearer points, or, like white paper with little to match on it, 4 % and
@@ -42,8 +55,12 @@ def ground_plane(
     """
     distance = np.median(np.linalg.norm(centers - middle, axis=1))
     near = xyz[np.linalg.norm(xyz - middle, axis=1) < 1.5 * distance]
-    if len(near) < 50:
-        return None
+    if len(near) < FEWEST_POINTS:
+        return NoGround(
+            f"only {len(near)} points near the object were matched between photos, and "
+            f"{FEWEST_POINTS} are needed to seek a plane",
+            "photograph on a table with texture, newspaper for one, and with more overlap",
+        )
 
     for share in TOLERANCES:
         tolerance = share * distance
@@ -57,9 +74,19 @@ def ground_plane(
             return plane
 
     if start is None:
-        return None
+        return NoGround(
+            f"none of the planes among {len(near)} matched points lies below all cameras with next "
+            "to nothing under it",
+            "photograph from above the table that the object stands on, with the table in sight",
+        )
     bare = inliers >= 0.04 and inliers * len(near) >= 80 and below < 0.02
-    return plane if inliers >= 0.12 or bare else None
+    if inliers >= 0.12 or bare:
+        return plane
+    return NoGround(
+        f"the best plane holds {100 * inliers:.0f} % of {len(near)} matched points, with "
+        f"{100 * below:.0f} % below it: the points are not of a level ground",
+        "photograph on a level table with texture, newspaper for one, that the photos show more of",
+    )
 
 
 def _inliers_and_below(

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.base.config import Poses
 from pipeline.base.images import read_png
 from pipeline.photos.colmap_world import Mapped, sightings
-from pipeline.photos.ground_plane import Plane, ground_plane
+from pipeline.photos.ground_plane import NoGround, Plane, ground_plane
 from pipeline.photos.object_sphere import MARGIN, object_points, object_sphere
 from pipeline.photos.posed import PosedPhotos
 from pipeline.photos.sfm import SEED, sparse_points
@@ -41,7 +41,8 @@ def upright(mapped: Mapped, photos: list[dict], capture: Path, settings: Poses) 
     points = sparse_points(mapped.model, *sightings(mapped, kept))
     poses = mapped.poses_of(told)
     up = mean_up(poses)
-    plane = ground_plane(points["xyz"], positions(poses), up, axes_meeting_point(poses), SEED)
+    found = ground_plane(points["xyz"], positions(poses), up, axes_meeting_point(poses), SEED)
+    plane = found if isinstance(found, Plane) else None
     center, radius, how = _object_of(points["xyz"], mapped, told, plane, capture)
 
     rotation, shift, scale = _to_library_frame(plane, up, center, radius, settings)
@@ -52,7 +53,7 @@ def upright(mapped: Mapped, photos: list[dict], capture: Path, settings: Poses) 
         center=scale * rotation @ center + shift,
         radius=MARGIN * scale * radius,
         points=points | {"xyz": scale * points["xyz"] @ rotation.T + shift},
-        facts=_frame_facts(plane, how, rotation, shift, scale),
+        facts=_frame_facts(found, how, rotation, shift, scale),
     )
 
 
@@ -89,24 +90,21 @@ def _to_library_frame(
 
 
 def _frame_facts(
-    plane: Plane | None, how: str, rotation: np.ndarray, shift: np.ndarray, scale: float
+    found: Plane | NoGround, how: str, rotation: np.ndarray, shift: np.ndarray, scale: float
 ) -> dict:
     """What cameras.json says of the change of frame, and of `how` the object was found."""
     world = np.eye(4)
     world[:3, :3] = scale * rotation
     world[:3, 3] = shift
 
-    turned = None
-    if plane is not None:
-        normal = rotation @ plane.normal
-        turned = {
-            "normal": normal,
-            "offset": scale * plane.offset + shift @ normal,
-            "inlier_share": plane.inlier_share,
-        }
-    return {
-        "up": "ground plane" if plane is not None else "mean camera up (no ground plane found)",
-        "object_found_by": how,
-        "plane": turned,
-        "world": world,
+    facts = {"object_found_by": how, "plane": None, "world": world}
+    if isinstance(found, NoGround):
+        return {"up": "mean camera up (no ground plane found)"} | facts | found.facts()
+
+    normal = rotation @ found.normal
+    turned = {
+        "normal": normal,
+        "offset": scale * found.offset + shift @ normal,
+        "inlier_share": found.inlier_share,
     }
+    return {"up": "ground plane"} | facts | {"plane": turned}

@@ -109,7 +109,8 @@ def make_poses(
     views = write_views(capture, out, kept, lenses, posed.poses)
 
     center, radius, points = posed.center, posed.radius, posed.points
-    if camera_file(scene) and not any(p["has_mask"] for p in kept):
+    masked = any(p["has_mask"] for p in kept if p["split"] == "fit")
+    if camera_file(scene) and not masked:
         points = triangulated(views, out, settings, threads)
         center, radius, ground = ground_of_given(points["xyz"], views, center, radius)
         facts |= ground

@@ -6,6 +6,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, read_png, write_png
 from pipeline.geometry.cameras import save_cameras
 from pipeline.masks.make import make_masks, said_of_things
+from pipeline.photos.ground_plane import NoGround
 from pipeline.photos.radiance import level_of, white_of
 from tests.masks.conftest import GROUND, PAINTS
 
@@ -120,6 +121,11 @@ def test_without_a_ground_plane_the_cure_is_told(table, tmp_path):
     rig.facts["plane"] = None
     save_cameras(folder / "cameras.json", rig)
     with pytest.raises(InputError, match="folder masks/"):
+        make_masks(folder, tmp_path, Masks(), 2)
+
+    rig.facts |= NoGround("only 7 points were matched", "spread out a newspaper").facts()
+    save_cameras(folder / "cameras.json", rig)
+    with pytest.raises(InputError, match="only 7 points were matched(.|\n)*spread out a newspaper"):
         make_masks(folder, tmp_path, Masks(), 2)
 
 
