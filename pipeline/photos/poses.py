@@ -46,7 +46,7 @@ def _photometry(
     brightness = point_brightness(views, out, points)
     fit = np.array([v.split == "fit" for v in views])
     stops = gains(brightness, fit)
-    green = brightness[fit][..., 1] - stops[fit, 1, None]
+    green = brightness.of_views(fit).channel(1).less(stops[fit, 1])
     told = [v for v in views if v.split == "fit"]
     motion = light_motion(told, green, points["xyz"], *sphere)
     accept = settings.moving_light == "accept"
