@@ -13,7 +13,7 @@ from PIL import Image
 from pipeline.base.config import Scene
 from pipeline.base.images import in_rows, linear_to_srgb, read_exr, read_png, to_srgb8
 from pipeline.geometry.cameras import Rig, View
-from pipeline.geometry.normal_maps import normal_map_of, read_normal_map
+from pipeline.geometry.surface import Surface
 from pipeline.render.envmap import directions, mean_radiance, resample_area
 from pipeline.render.metrics import psnr, render_pixels, render_twice
 from pipeline.render.renderer import Explanation, Renderer
@@ -44,10 +44,10 @@ def shrink(texture: np.ndarray) -> np.ndarray:
 
 def normal_map(work: Path) -> bytes | None:
     """The surface's normal map as it is exported, or None where it has none."""
-    path = normal_map_of(work / "atlas" / "mesh_uv.ply")
-    if path is None:
+    normals = Surface.of(work / "atlas" / "mesh_uv.ply").normals
+    if normals is None:
         return None
-    return encode((shrink(read_normal_map(path)) * 255).astype(np.uint8))
+    return encode((shrink(normals) * 255).astype(np.uint8))
 
 
 def contact_sheet(work: Path, rig: Rig, height: int = 150, limit: int = 18) -> bytes:
