@@ -223,7 +223,7 @@ rule choose:
     input:
         PROBLEM,
     output:
-        made("choose", "choose.json"),
+        made("choose", "chosen.json", "choose.json"),
     log:
         "work/{scene}/logs/choose.log",
     benchmark:
@@ -236,7 +236,7 @@ rule choose:
         command("choose", f"{PROBLEM_OPTIONS} --out {WORK}/choose")
 
 
-CHOSEN = "work/{scene}/choose/choose.json"
+CHOSEN = "work/{scene}/choose/chosen.json"
 CHOSEN_OPTION = f"--choose {WORK}/choose"
 
 

@@ -8,7 +8,7 @@ of true normals: this command, for scenes of the NeRF-synthetic set, whose test 
 (FOLDER/test/r_0_normal.png).
 
 A shading normal is what light falls on: the vertex normals, interpolated over the triangle that the
-pixel's central ray meets, then tilted by the normal map where one lies beside the mesh (NORMAL_MAP:
+pixel's central ray meets, then tilted by the normal map where one lies beside the mesh (FILE:
 tangent space, 8 or 16 bits, red along dp/du of the face, green up). Pixels count where both
 surfaces are met.
 """
@@ -26,10 +26,11 @@ from pipeline.base.errors import InputError, run_stage
 from pipeline.base.images import read_png, srgb_to_linear
 from pipeline.geometry.cameras import Y_FROM_Z_UP, View, load_cameras
 from pipeline.geometry.mesh_io import Mesh, load_mesh, unit
+from pipeline.geometry.normal_maps import FILE
+from pipeline.geometry.surface import Surface
 from pipeline.posterior.textures import gather
 from pipeline.surface.preview import caster
 
-NORMAL_MAP = "normal.png"
 PICTURE_END = "_normal.png"
 SIDE = 320  # longest side in pixels of the views in which normals are compared
 VIEWS = 12  # at most so many, evenly chosen
@@ -40,8 +41,8 @@ def read_normal_map(mesh_file: Path) -> np.ndarray | None:
     """Tangent-space normals (t, t, 3) of the map beside a mesh, None where there is none. Raises
     InputError where it cannot be read.
     """
-    file = mesh_file.with_name(NORMAL_MAP)
-    if not file.exists():
+    file = Surface.of(mesh_file).normal_map
+    if file is None:
         return None
     pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.ndim != 3:
@@ -59,7 +60,7 @@ def tilted(
     The frame's red axis is dp/du of the face, made orthogonal to the normal.
     """
     if mesh.uv is None:
-        raise InputError("a mesh without uv has no normal map", NORMAL_MAP, "name mesh_uv.ply")
+        raise InputError("a mesh without uv has no normal map", FILE, "name mesh_uv.ply")
     corners = mesh.faces[faces]
     place = mesh.vertices[corners]
     uv = mesh.uv[corners]

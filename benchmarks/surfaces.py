@@ -26,7 +26,7 @@ from benchmarks.real_sets import GARDEN, against_truth
 from benchmarks.scenes import ROOT
 from benchmarks.study.front import front
 from benchmarks.surfaces_tables import SCORES, points
-from benchmarks.tables import head_commit
+from benchmarks.tables.committed import head_commit
 from benchmarks.unlit import mean, score_unlit
 from pipeline.base.config import Observe, merge
 from pipeline.base.errors import InputError, run_stage

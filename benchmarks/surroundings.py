@@ -39,6 +39,7 @@ from pipeline.base.progress import Bar
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.base.runtime import mitsuba_rays, set_threads
 from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, View, load_cameras
+from pipeline.geometry.surface import Surface
 from pipeline.posterior.fit import fit
 from pipeline.posterior.load import load_problem
 from pipeline.posterior.problem import Problem
@@ -174,7 +175,7 @@ class Garden:
             "filename": str(mesh),
             "flip_tex_coords": True,
             "to_world": mi.ScalarTransform4f(to_world),
-            "bsdf": {"type": "twosided", "b": with_normal_map(material, mesh)},
+            "bsdf": {"type": "twosided", "b": with_normal_map(material, Surface.of(mesh))},
         }
 
     def scores(self, x: Explanation, mesh: Path, truth: np.ndarray) -> dict[str, float]:

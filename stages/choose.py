@@ -7,9 +7,9 @@ from pipeline.run.stage import PROBLEM_FOLDERS, Stage, stage
 
 
 def work(s: Stage) -> None:
-    from pipeline.posterior.choose.chosen import FILE, nothing_chosen
+    from pipeline.posterior.choose.chosen import Chosen, nothing_chosen
 
-    with stage_folder(s.out, FILE) as out:
+    with stage_folder(s.out, "choose.json") as out:
         if s.scene.choose.enabled:
             # loaded here, for it takes seconds that every scene without decisions would pay
             from pipeline.posterior.choose.decide import Evidence, choose
@@ -17,7 +17,8 @@ def work(s: Stage) -> None:
             found = choose(Evidence(*s.problem_folders), s.scene)
         else:
             found = nothing_chosen()
-        report_metrics(out / FILE, found | s.costs())
+        Chosen(found["settings"]).save(out)
+        report_metrics(out / "choose.json", found | s.costs())
 
 
 if __name__ == "__main__":

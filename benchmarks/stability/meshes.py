@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.geometry.mesh_io import Mesh, adjacency, vertex_normals
+from pipeline.geometry.mesh_io import Mesh, vertex_adjacency, vertex_normals
 
 
 def radius(mesh: Mesh) -> float:
@@ -57,7 +57,7 @@ def rough(mesh: Mesh, share: float, rng) -> Mesh:
         return mesh
     point = np.unique(np.round(mesh.vertices, 5), axis=0, return_inverse=True)[1].reshape(-1)
     noise = rng.normal(size=point.max() + 1)
-    near = adjacency(len(noise), point[mesh.faces]).astype(float)
+    near = vertex_adjacency(len(noise), point[mesh.faces]).astype(float)
     count = np.maximum(np.asarray(near.sum(1)).ravel(), 1)
     for _ in range(2):
         noise = 0.5 * noise + 0.5 * (near @ noise) / count

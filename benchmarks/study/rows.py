@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.scenes import machine
 from benchmarks.study.methods import METHODS, methods_named, scene_for
-from benchmarks.tables import head_commit
+from benchmarks.tables.committed import head_commit
 from pipeline.base.errors import run_stage
 from pipeline.base.files import atomic_path, write_json
 from pipeline.base.progress import Bar

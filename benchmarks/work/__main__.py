@@ -17,7 +17,7 @@ import shutil
 from pathlib import Path
 
 from benchmarks.chain_runs import rows_at_hand, run_chain
-from benchmarks.tables import head_commit
+from benchmarks.tables.committed import head_commit
 from benchmarks.work.knobs import KNOBS, Knob
 from pipeline.base.config import merge
 from pipeline.base.errors import InputError, nearest, run_stage

@@ -88,7 +88,6 @@ class Poses(Section):
     up: Literal["auto", "none"] = Field(
         "auto", description="auto: turn the estimated gravity to +Y"
     )
-    seed: int = Field(0, ge=0, le=MOST_SEED)
 
 
 class Masks(Section):
@@ -125,10 +124,8 @@ class Mesh(Section):
         3_000_000,
         ge=50_000,
         le=100_000_000,
-        description="object pixels over all photos that get a depth: bounds time on close-ups",
-    )
-    depth_scale: float = Field(
-        1.0, gt=0.05, le=1, description="largest image scale for depth, whatever depth_pixels is"
+        description="object pixels over all photos that get a depth: bounds time on close-ups. "
+        "Photos are reduced to have no more, and never enlarged",
     )
     min_agreement: float = Field(
         0.25, ge=0, le=1, description="share of pixels with agreeing depth below which hull alone"
@@ -393,6 +390,13 @@ class Scene(Section):
     report: Report = Report()
 
 
+# Settings of earlier versions, and what to do where a configuration has them
+REMOVED = {
+    "choose.maps": "remove the line: refine.gloss says whether gloss and metal are tested",
+    "mesh.depth_scale": "remove the line: mesh.depth_pixels alone says how much photos are reduced",
+    "poses.seed": "remove the line: it changed nothing but the order of random tries",
+}
+
 # ValueError: bytes that are no text, a day that no calendar has; RecursionError: endless nesting
 NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)
 
@@ -436,6 +440,9 @@ def _explain(error: ValidationError, path: str | Path, model: Any) -> InputError
         return InputError(
             f"{key}: {first['msg']} (it is {first.get('input')!r})", path, f"correct {key}"
         )
+
+    if key in REMOVED:
+        return InputError(f"there is no setting '{key}' any more", path, REMOVED[key])
 
     for part in first["loc"][:-1]:
         model = model.model_fields[part].annotation

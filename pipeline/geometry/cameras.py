@@ -20,6 +20,21 @@ Y_FROM_Z_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
+def projected(
+    xyz: np.ndarray, world_to_camera: np.ndarray, fx: float, fy: float, cx: float, cy: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """World points (..., 3) -> pixel coordinates (..., 2) of a pinhole camera with pose (4, 4), and
+    depth along its optical axis (...).
+    """
+    p = xyz @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
+    depth = p[..., 2]
+    divisor = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+
+    u = fx * p[..., 0] / divisor + cx
+    v = fy * p[..., 1] / divisor + cy
+    return np.stack([u, v], -1), depth
+
+
 @dataclass
 class View:
     """One undistorted photo: pinhole, no lens distortion left."""
@@ -67,13 +82,7 @@ class View:
         """World points (..., 3) -> pixel coordinates (..., 2) and depth along the optical axis
         (...).
         """
-        p = xyz @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
-        depth = p[..., 2]
-        divisor = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
-
-        u = self.fx * p[..., 0] / divisor + self.cx
-        v = self.fy * p[..., 1] / divisor + self.cy
-        return np.stack([u, v], -1), depth
+        return projected(xyz, self.world_to_camera, self.fx, self.fy, self.cx, self.cy)
 
     def pixel_centers(self) -> np.ndarray:
         """Pixel coordinates (h, w, 2) of the centres of all pixels."""

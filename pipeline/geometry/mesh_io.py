@@ -40,7 +40,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return unit(out)
 
 
-def adjacency(count: int, faces: np.ndarray) -> sparse.csr_matrix:
+def vertex_adjacency(count: int, faces: np.ndarray) -> sparse.csr_matrix:
     """Which of `count` vertices an edge of `faces` (m, 3) joins: (count, count) bool, symmetric."""
     one_end = faces.ravel()
     other_end = np.roll(faces, 1, axis=1).ravel()
@@ -53,7 +53,7 @@ def normal_wobble(mesh: Mesh) -> float:
     """Median angle (radians) between a vertex's normal and its neighbours' mean. Of even curvature
     it is 0, of noise the noise's own size.
     """
-    mean = unit(adjacency(len(mesh.vertices), mesh.faces) @ mesh.normals)
+    mean = unit(vertex_adjacency(len(mesh.vertices), mesh.faces) @ mesh.normals)
     cosine = (mean * mesh.normals).sum(1)
     return float(np.median(np.arccos(np.clip(cosine, -1, 1))))
 

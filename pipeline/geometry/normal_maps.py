@@ -26,12 +26,6 @@ FILE = "normal.png"
 FULL = 65535  # largest value of a channel
 
 
-def normal_map_of(mesh: Path) -> Path | None:
-    """The normal map that lies beside a mesh file, or None where there is none."""
-    path = Path(mesh).with_name(FILE)
-    return path if path.exists() else None
-
-
 def write_normal_map(path: Path, normals: np.ndarray) -> None:
     """Write unit normals (t, t, 3) in their tangent frames, row 0 = v 1."""
     values = np.round((np.clip(normals, -1, 1) * 0.5 + 0.5) * FULL).astype(np.uint16)

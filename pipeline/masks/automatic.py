@@ -48,6 +48,7 @@ from pipeline.masks.volume import Things, axis_distance, hidden, soft_hull, the_
 CURE = "put masks into the scene's folder masks/"
 SURE = 2.0  # log-odds from which on a pixel's side counts as known
 HARD = 8.0  # log-odds of a pixel that the user has masked
+FEW = 95  # percentile of a photo's lightness above which lie highlights and lamps
 BELOW = 0.6  # least log-odds by colour of a ray that ends below the object
 COLOUR = 1.5, 2.5  # largest log-odds by colour, learned from the photos and from given masks
 
@@ -61,12 +62,7 @@ def plane_masks(poses: Path, rig: Rig, settings: Masks, threads: int) -> tuple[d
     plane = rig.facts.get("plane")
     given = some_given(poses, rig)
     if plane is None and not given:
-        raise InputError(
-            "no ground plane was found, so the object cannot be masked automatically",
-            "masks",
-            "put a mask of one or more photos into the scene's folder masks/, or photograph on a "
-            "textured table",
-        )
+        raise _without_ground(rig)
     height = None if plane is None else float(plane["offset"])
 
     labs = {
@@ -76,6 +72,18 @@ def plane_masks(poses: Path, rig: Rig, settings: Masks, threads: int) -> tuple[d
     things, odds = find_object(rig, labs, height, given, settings.parts, threads)
     masks = cut_masks(rig, labs, odds, things, given, threads)
     return masks, _facts(rig, things, given, plane is not None)
+
+
+def _without_ground(rig: Rig) -> InputError:
+    """What to tell the user where neither a ground nor a mask says what the object is."""
+    known = rig.facts.get("no_ground", {})
+    why = f": {known['why']}" if known else ""
+    return InputError(
+        f"no ground plane was found, so the object cannot be masked automatically{why}",
+        "masks",
+        "put a mask of one or more photos into the scene's folder masks/, or "
+        + known.get("cure", "photograph on a textured table"),
+    )
 
 
 def some_given(poses: Path, rig: Rig) -> dict[str, np.ndarray]:
@@ -235,10 +243,7 @@ def cut_masks(
 
     What other things hide counts as object where masks vote for a volume, and is not in a mask.
     """
-    eight_bit = {
-        name: np.clip(lab * [2.55, 1, 1] + [0, 128, 128], 0, 255).astype(np.uint8)
-        for name, lab in labs.items()
-    }
+    eight_bit = in_eight_bits(labs)
     points = things.points
     cell = things.cell
     behind = {v.name: hidden(v, things, working_size(v)) for v in rig.views}
@@ -257,6 +262,18 @@ def cut_masks(
         kept = given.get(v.name, masks[v.name] & near & ~behind[v.name]).astype(np.float32)
         out[v.name] = cv2.resize(kept, (v.width, v.height), interpolation=cv2.INTER_CUBIC) > 0.5
     return out
+
+
+def in_eight_bits(labs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Photos in CIELAB as uint8 (h, w, 3): 255 is white, or what few pixels of most photos exceed
+    where that is brighter.
+    """
+    top = max(100.0, float(np.median([np.percentile(lab[..., 0], FEW) for lab in labs.values()])))
+    scale = [255 / top, 1, 1]
+    return {
+        name: np.clip(lab * scale + [0, 128, 128], 0, 255).astype(np.uint8)
+        for name, lab in labs.items()
+    }
 
 
 def _facts(rig: Rig, things: Things, given: dict[str, np.ndarray], plane: bool) -> dict:

@@ -37,9 +37,22 @@ def working_size(view: View) -> tuple[int, int]:
 
 
 def to_lab(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """Photo as CIELAB float32 (h, w, 3)."""
-    image = cv2.resize(read_exr(path), size, interpolation=cv2.INTER_AREA)
-    return cv2.cvtColor(linear_to_srgb(image), cv2.COLOR_RGB2Lab)
+    """Photo as CIELAB float32 (h, w, 3). Its lightness goes on above 100: what is brighter than the
+    scene's white (pipeline/photos/radiance.py) is not all one colour.
+    """
+    return lab_of(cv2.resize(read_exr(path), size, interpolation=cv2.INTER_AREA))
+
+
+def lab_of(linear: np.ndarray) -> np.ndarray:
+    """CIELAB of linear RGB (h, w, 3), white 1, without an upper end.
+
+    OpenCV's ends at 1. A brighter pixel is k times one whose largest channel is 1, and there
+    L + 16, a and b are proportional to the cube root of k.
+    """
+    over = np.maximum(linear.max(-1, keepdims=True), 1).astype(np.float32)
+    lab = cv2.cvtColor(linear_to_srgb(linear / over), cv2.COLOR_RGB2Lab)
+    black = np.array([16, 0, 0], np.float32)
+    return np.where(over > 1, (lab + black) * np.cbrt(over) - black, lab)
 
 
 def ground_points(rig: Rig, height: float) -> np.ndarray:

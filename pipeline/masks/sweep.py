@@ -61,11 +61,6 @@ def neighbours(rig: Rig, k: int) -> list[int]:
     return usable[order][:NEIGHBOURS].tolist()
 
 
-def intrinsics(view: View, width: int, height: int) -> np.ndarray:
-    """K (3, 3) of a view scaled to width x height pixels."""
-    return np.diag([width / view.width, height / view.height, 1]) @ view.K
-
-
 def region_of(rig: Rig, view: View, lab: np.ndarray, longest: int) -> Region | None:
     """What is to be matched of a photo: the box around the object's sphere, at `longest` pixels at
     most. None where the sphere is out of sight.
@@ -84,7 +79,7 @@ def region_of(rig: Rig, view: View, lab: np.ndarray, longest: int) -> Region | N
     ratio_x = size[0] / (x1 - x0)
     ratio_y = size[1] / (y1 - y0)
     crop = np.array([[ratio_x, 0, -x0 * ratio_x], [0, ratio_y, -y0 * ratio_y], [0, 0, 1]])
-    return Region(small, crop @ intrinsics(view, width, height), box, scale)
+    return Region(small, crop @ view.at_size(width, height).K, box, scale)
 
 
 def _mean(image: np.ndarray, window: int = WINDOW) -> np.ndarray:
@@ -107,7 +102,7 @@ class Matcher:
         size = [max(1, round(side * region.scale)) for side in lab.shape[1::-1]]
         small = cv2.resize(lab, size, interpolation=cv2.INTER_AREA)
         motion = other.world_to_camera @ np.linalg.inv(view.world_to_camera)
-        return small, intrinsics(other, *size), motion[:3, :3], motion[:3, 3]
+        return small, other.at_size(*size).K, motion[:3, :3], motion[:3, 3]
 
     def cost(self, n: np.ndarray, d: float) -> np.ndarray:
         """Cost (h, w) of the plane n.x = d: mean over the two neighbours that match best, so that

@@ -17,10 +17,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from pipeline.base.images import read_exr, write_exr
 from pipeline.geometry.cameras import View
+from pipeline.photos.readings import Readings
 from pipeline.photos.saturation import saturated
 
 DARK = 0.01  # radiance (white = 1) below which noise rules
@@ -34,14 +36,15 @@ ROUNDS = 20  # of reweighting
 SMALLEST = 0.02  # stops; residuals below count as equally good
 
 
-def point_brightness(views: list[View], folder: Path, points: dict) -> np.ndarray:
-    """log2 radiance (views, points, 3), NaN where a view was not matched to the point or its pixel
-    is dark in that channel or saturated.
+def point_brightness(views: list[View], folder: Path, points: dict) -> Readings:
+    """log2 radiance (n, 3) of the points in the views that they were matched in, NaN where the
+    pixel is dark in that channel or saturated.
 
     folder: where the views' pictures lie; points: see `sfm.sparse_points`.
     """
     owner = np.repeat(np.arange(len(points["xyz"])), np.diff(points["offsets"]))
-    out = np.full((len(views), len(points["xyz"]), 3), np.nan, np.float32)
+    numbers = []
+    values = []
     for k, view in enumerate(views):
         mine = owner[points["views"] == k]
         uv, depth = view.project(points["xyz"][mine])
@@ -53,73 +56,89 @@ def point_brightness(views: list[View], folder: Path, points: dict) -> np.ndarra
         rgb = photo[row[inside], column[inside]]
         clipped = saturated(folder, view, photo)[row[inside], column[inside]]
         usable = (rgb > DARK) & ~clipped
-        out[k, mine[inside]] = np.log2(rgb, out=np.full_like(rgb, np.nan), where=usable)
-    return out
+        numbers.append(mine[inside])
+        values.append(np.log2(rgb, out=np.full_like(rgb, np.nan), where=usable))
+    return Readings(
+        np.repeat(np.arange(len(views)), [len(some) for some in numbers]),
+        np.concatenate(numbers),
+        np.concatenate(values),
+        len(views),
+        len(points["xyz"]),
+    )
 
 
-def gains(brightness: np.ndarray, fit: np.ndarray | None = None) -> np.ndarray:
-    """log2 gain (views, 3) of every photo and channel, from log2 radiance (views, points, 3). Sums
-    to zero over the photos. 0 for photos with too few points, or not linked to most others.
+def gains(brightness: Readings | np.ndarray, fit: np.ndarray | None = None) -> np.ndarray:
+    """log2 gain (views, 3) of every photo and channel, from log2 radiance: readings (n, 3), or a
+    small table (views, points, 3). Sums to zero over the photos. 0 for photos with too few points,
+    or not linked to most others.
 
     fit: (views,) bool, the photos that say how bright points are; without it all do. The sum is
     over them, and each of the others is held against the points as they see them.
     """
-    fit = np.ones(len(brightness), bool) if fit is None else fit
-    return np.stack([channel_gains(brightness[..., c], fit) for c in range(3)], -1)
+    table = brightness if isinstance(brightness, Readings) else Readings.of(brightness)
+    fit = np.ones(table.views, bool) if fit is None else fit
+    return np.stack([channel_gains(table.channel(c), fit) for c in range(3)], -1)
 
 
-def channel_gains(y: np.ndarray, fit: np.ndarray) -> np.ndarray:
-    """As `gains`, for one channel: (views, points) -> (views,)."""
-    out = np.zeros(len(y))
-    enough = np.zeros(len(y), bool)
-    enough[fit] = _linked(y[fit])
+def channel_gains(y: Readings, fit: np.ndarray) -> np.ndarray:
+    """As `gains`, for one channel: known values (n,) -> (views,)."""
+    out = np.zeros(y.views)
+    enough = np.zeros(y.views, bool)
+    enough[fit] = _linked(y.of_views(fit))
     if enough.sum() < 3:
         return out
 
-    twice = np.isfinite(y[enough]).sum(0) >= 2
-    rows = y[enough][:, twice].astype(float)
-    seen = np.isfinite(rows)
-    rows = np.where(seen, rows, 0.0)
-    weight = seen.astype(float)
+    told = y.of_views(enough)
+    twice = told.photos_of_points() >= 2
+    told = told.of_points(twice)
+    weight = np.ones(len(told.value))
+    mean = lambda values: told.sum_of_points(weight * values) / told.sum_of_points(weight)
     for _ in range(ROUNDS):
-        gain = _least_squares(rows, weight)
-        rest = rows - gain[:, None]
-        rest = rest - (weight * rest).sum(0) / weight.sum(0)
-        weight = seen / np.maximum(np.abs(rest), SMALLEST)
+        gain = _least_squares(told, weight)
+        rest = told.less(gain).value
+        rest = rest - mean(rest)[told.point]
+        weight = 1 / np.maximum(np.abs(rest), SMALLEST)
 
     out[enough] = gain - gain.mean()
-    level = (weight * (rows - out[enough, None])).sum(0) / weight.sum(0)
+    level = mean(told.less(out[enough]).value)
+    others = y.of_points(twice)
     for k in np.flatnonzero(~fit):
-        apart = y[k, twice] - level
-        apart = apart[np.isfinite(apart)]
-        if len(apart) >= MIN_POINTS:
-            out[k] = np.median(apart)
+        own = others.chosen(others.view == k)
+        if len(own.value) >= MIN_POINTS:
+            out[k] = np.median(own.value - level[own.point])
     return out
 
 
-def _linked(y: np.ndarray) -> np.ndarray:
+def _matrix(y: Readings, values: np.ndarray) -> sparse.csr_matrix:
+    """(views, points), sparse, of values (n,)."""
+    return sparse.csr_matrix((values, (y.view, y.point)), shape=(y.views, y.points))
+
+
+def _linked(y: Readings) -> np.ndarray:
     """Photos (views,) bool with MIN_POINTS points that others see too, in the largest group that
     common points link.
     """
-    seen = np.isfinite(y)
-    enough = (seen & (seen.sum(0) >= 2)).sum(1) >= MIN_POINTS
-    common = (seen[enough].astype(np.float32) @ seen[enough].T) > 0
-    if not len(common):
+    shared = y.photos_of_points()[y.point] >= 2
+    enough = y.sum_of_views(shared) >= MIN_POINTS
+    if not enough.any():
         return enough
-    label = connected_components(common, directed=False)[1]
+    some = y.of_views(enough)
+    seen = _matrix(some, np.ones(len(some.value)))
+    label = connected_components(seen @ seen.T, directed=False)[1]
     enough[np.flatnonzero(enough)[label != np.bincount(label).argmax()]] = False
     return enough
 
 
-def _least_squares(y: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """argmin over g (with sum 0) and q of sum weight (y - g - q)^2; (views, points) -> g (views,).
+def _least_squares(y: Readings, weight: np.ndarray) -> np.ndarray:
+    """argmin over g (with sum 0) and q of sum weight (y - g - q)^2; (n,) -> g (views,).
 
     With q eliminated the normal matrix is a graph's Laplacian, whose null vector is a common gain;
     a rank-one term takes its place.
     """
-    share = weight / weight.sum(0)
-    matrix = np.diag(weight.sum(1)) - share @ weight.T
-    right = (weight * y).sum(1) - share @ (weight * y).sum(0)
+    share = weight / y.sum_of_points(weight)[y.point]
+    weighted = weight * y.value
+    matrix = np.diag(y.sum_of_views(weight)) - (_matrix(y, share) @ _matrix(y, weight).T).toarray()
+    right = y.sum_of_views(weighted) - y.sum_of_views(share * y.sum_of_points(weighted)[y.point])
     return np.linalg.solve(matrix + matrix.diagonal().mean() / len(matrix), right)
 
 

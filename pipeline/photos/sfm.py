@@ -28,6 +28,7 @@ HINT = (
     "photograph with about 80 % overlap, all the way round, on a textured ground, "
     "without zooming or moving the object"
 )
+SEED = 0  # of all tries of the poses stage
 EXIF_IFD = 0x8769
 FOCAL_35MM = 0xA405
 
@@ -162,10 +163,10 @@ def _match(database: Path, exhaustive: bool, thorough: bool, threads: int) -> No
     pycolmap.match_sequential(database, matching_options=options, pairing_options=pairing)
 
 
-def _mapper_options(options: Any, settings: Poses, threads: int) -> Any:
+def _mapper_options(options: Any, threads: int) -> Any:
     """COLMAP's options of incremental or global mapping, filled in."""
     options.num_threads = threads
-    options.random_seed = settings.seed
+    options.random_seed = SEED
     options.min_model_size = 3
     return options
 
@@ -209,7 +210,7 @@ def _attempt(
     _match(database, exhaustive, thorough, threads)
 
     _say("mapping", tag)
-    options = _mapper_options(pycolmap.IncrementalPipelineOptions(), settings, threads)
+    options = _mapper_options(pycolmap.IncrementalPipelineOptions(), threads)
     models = pycolmap.incremental_mapping(
         _to_map(database, held_out), images, folder / tag, options
     )
@@ -238,7 +239,7 @@ def _global_attempt(
     import pycolmap
 
     _say("mapping", "global")
-    options = _mapper_options(pycolmap.GlobalPipelineOptions(), settings, threads)
+    options = _mapper_options(pycolmap.GlobalPipelineOptions(), threads)
     (folder / "global").mkdir()
     database = _to_map(folder / "thorough.db", held_out)
     models = pycolmap.global_mapping(database, folder / "images", folder / "global", options)
@@ -262,7 +263,7 @@ def reconstruct(
     import pycolmap
 
     pycolmap.logging.minloglevel = 2
-    pycolmap.set_random_seed(settings.seed)
+    pycolmap.set_random_seed(SEED)
     with tempfile.TemporaryDirectory(prefix="heliograph-sfm-") as temporary:
         folder = Path(temporary)
         (folder / "images").mkdir()
@@ -309,11 +310,11 @@ def reconstruct(
 
 def sparse_points(
     model: pycolmap.Reconstruction, order: dict[int, int], others: dict[int, list[int]]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The model's points that two or more views see: xyz (n, 3), rgb (n, 3) uint8, reprojection
-    error in pixels (n,), offsets (n + 1,), views. Point k is seen by views[offsets[k] : offsets[k +
-    1]]. `order`: the model's image number -> index of the view; `others`: number of a point ->
-    views that see it too and have not made it.
+) -> dict:
+    """The model's points that two or more views see, as points.npz holds them: xyz (n, 3), rgb
+    (n, 3) uint8, reprojection error in pixels (n,), offsets (n + 1,), views. Point k is seen by
+    views[offsets[k] : offsets[k + 1]]. `order`: the model's image number -> index of the view;
+    `others`: number of a point -> views that see it too and have not made it.
     """
     xyz = []
     rgb = []
@@ -328,10 +329,21 @@ def sparse_points(
             views.append(sorted({*seen, *others.get(number, [])}))
 
     offsets = np.concatenate([[0], np.cumsum([len(v) for v in views])])
-    return (
-        np.array(xyz, float).reshape(-1, 3),
-        np.array(rgb, np.uint8).reshape(-1, 3),
-        np.array(error, float),
-        offsets.astype(int),
-        np.array([v for seen in views for v in seen], int),
-    )
+    return {
+        "xyz": np.array(xyz, float).reshape(-1, 3),
+        "rgb": np.array(rgb, np.uint8).reshape(-1, 3),
+        "error": np.array(error, float),
+        "offsets": offsets.astype(int),
+        "views": np.array([v for seen in views for v in seen], int),
+    }
+
+
+def no_points() -> dict:
+    """As `sparse_points`, where none were matched."""
+    return {
+        "xyz": np.zeros((0, 3)),
+        "rgb": np.zeros((0, 3), np.uint8),
+        "error": np.zeros(0),
+        "offsets": np.zeros(1, int),
+        "views": np.zeros(0, int),
+    }

@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.base.config import Poses
 from pipeline.geometry.cameras import View
-from pipeline.photos.sfm import extract_each, match_given, sparse_points, write_matched
+from pipeline.photos.sfm import SEED, extract_each, match_given, sparse_points, write_matched
 
 if TYPE_CHECKING:
     import pycolmap
@@ -27,7 +27,7 @@ def triangulated(views: list[View], folder: Path, settings: Poses, threads: int)
     import pycolmap
 
     pycolmap.logging.minloglevel = 2
-    pycolmap.set_random_seed(settings.seed)
+    pycolmap.set_random_seed(SEED)
     with tempfile.TemporaryDirectory(prefix="heliograph-points-") as temporary:
         work = Path(temporary)
         told = {k: v for k, v in enumerate(views) if v.split == "fit"}
@@ -43,14 +43,13 @@ def triangulated(views: list[View], folder: Path, settings: Poses, threads: int)
         match_given(database, len(told), settings, threads)
         options = pycolmap.IncrementalPipelineOptions()
         options.num_threads = threads
-        options.random_seed = settings.seed
+        options.random_seed = SEED
         (work / "model").mkdir()
         model = pycolmap.triangulate_points(model, database, work, work / "model", options=options)
 
     place = {files[k]: k for k in told}
     order = {i.image_id: place[i.name] for i in model.images.values()}
-    xyz, rgb, error, offsets, seen = sparse_points(model, order, {})
-    return {"xyz": xyz, "rgb": rgb, "error": error, "offsets": offsets, "views": seen}
+    return sparse_points(model, order, {})
 
 
 def _with_cameras(database: Path, views: dict[str, View]) -> pycolmap.Reconstruction:

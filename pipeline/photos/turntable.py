@@ -26,6 +26,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.geometry.cameras import View
+from pipeline.photos.readings import Readings
 
 MOVING = 0.1  # explained share from which the light moves with the camera
 CIRCLE = 0.02  # deviation from a circle, over its radius, up to which it is a turntable's
@@ -58,29 +59,29 @@ class LightMotion:
 
 
 def light_motion(
-    views: list[View], level: np.ndarray, xyz: np.ndarray, center: np.ndarray, radius: float
+    views: list[View], level: Readings, xyz: np.ndarray, center: np.ndarray, radius: float
 ) -> LightMotion:
     """Evidence from matched points xyz (n, 3) within the object's sphere. level: their log2
-    brightness (views, n) less the photos' gains, NaN where unknown.
+    brightness less the photos' gains.
     """
     on_object = np.linalg.norm(xyz - center, axis=1) < radius
-    return motion_of(views, level[:, on_object], center)
+    return motion_of(views, level.of_points(on_object), center)
 
 
 def motion_of(
-    views: list[View], level: np.ndarray, center: np.ndarray, least_course: float = 0.0
+    views: list[View], level: Readings, center: np.ndarray, least_course: float = 0.0
 ) -> LightMotion:
-    """Evidence from the log2 brightness (views, n) of points on the object, whose axis passes
-    through `center`.
+    """Evidence from the log2 brightness of points on the object, whose axis passes through
+    `center`.
     """
     positions = np.stack([v.position for v in views])
     up = -np.stack([v.world_to_camera[1, :3] for v in views]).mean(0)
     up /= np.linalg.norm(up)
 
-    use = np.isfinite(level).sum(0) >= SEEN_BY
+    use = level.photos_of_points() >= SEEN_BY
     found: tuple[float | None, float | None] = None, None
     if len(views) >= FEWEST_VIEWS and use.sum() >= FEWEST_POINTS:
-        found = explained_by_turning(level[:, use], azimuths(positions - center, up))
+        found = explained_by_turning(level.of_points(use), azimuths(positions - center, up))
     share, course = found
     return LightMotion(share, int(use.sum()), off_circle(positions), course, least_course)
 
@@ -92,21 +93,20 @@ def azimuths(offsets: np.ndarray, up: np.ndarray) -> np.ndarray:
     return np.arctan2(offsets @ np.cross(up, side), offsets @ side)
 
 
-def explained_by_turning(level: np.ndarray, azimuth: np.ndarray) -> tuple[float, float]:
-    """Share of the variance of log brightness (views, points), NaN where unknown, each point less
-    its mean, that f(d) explains, and the root mean square of f(d) over it. azimuth: (views,).
-    Outliers are drawn in to three deviations.
+def explained_by_turning(level: Readings, azimuth: np.ndarray) -> tuple[float, float]:
+    """Share of the variance of log brightness, each point less its mean, that f(d) explains, and
+    the root mean square of f(d) over it. azimuth: (views,). Outliers are drawn in to three
+    deviations.
     """
-    seen = np.isfinite(level)
-    count = seen.sum(0)
-    centred = lambda a: (a - np.where(seen, a, 0).sum(0) / count)[seen]
+    count = level.photos_of_points()
+    centred = lambda a: a - (level.sum_of_points(a) / count)[level.point]
 
-    direction = np.exp(1j * azimuth)[:, None]
-    middle = np.angle((seen * direction).sum(0))
-    d = azimuth[:, None] - middle
+    own = azimuth[level.view]
+    middle = np.arctan2(level.sum_of_points(np.sin(own)), level.sum_of_points(np.cos(own)))
+    d = own - middle[level.point]
     basis = np.stack([centred(f) for f in (np.sin(d), np.cos(d), np.sin(2 * d), np.cos(2 * d))], 1)
 
-    rest = centred(level)
+    rest = centred(level.value)
     limit = 3 * 1.4826 * np.median(np.abs(rest))
     rest = rest.clip(-limit, limit)
     if not rest.any():

@@ -63,7 +63,7 @@ class Problem:
         """Of all observed pixels (n, 3), in the world's frame, with the normal map."""
         rays = self.observations.centre_rays(np.arange(len(self.observations)))
         si = self.renderer.scene.ray_intersect(mitsuba_rays(*rays))
-        return shading_frames(si, self.renderer.mesh)[:, 2]
+        return shading_frames(si, self.renderer.surface)[:, 2]
 
     def batch(
         self, pixels: int, spp: int, rng: np.random.Generator, view: int | None = None

@@ -75,14 +75,6 @@ def view_rays(view: View, pixels: np.ndarray) -> JitteredRays:
     return rays
 
 
-def render_view(
-    renderer: Renderer, explanation: Explanation, view: View, spp: int, seed: int = 0
-) -> np.ndarray:
-    """Picture (h, w, 3) of the object on black."""
-    everywhere = np.ones((view.height, view.width), bool)
-    return render_pixels(renderer, explanation, view, everywhere, spp, seed)
-
-
 def render_pixels(
     renderer: Renderer,
     explanation: Explanation,
@@ -91,7 +83,9 @@ def render_pixels(
     spp: int,
     seed: int = 0,
 ) -> np.ndarray:
-    """As `render_view`, tracing only the pixels of `mask` (h, w); the others are black."""
+    """Picture (h, w, 3) of the object on black, of which only the pixels of `mask` (h, w) are
+    traced; the others are black.
+    """
     rows, columns = np.nonzero(mask)
     rays = view_rays(view, np.stack([columns, rows], -1))
 

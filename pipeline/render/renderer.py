@@ -11,7 +11,7 @@ radiance, row 0 = +Y; base_color (t, t, 3), roughness, metallic (t, t) in [0, 1]
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -24,16 +24,14 @@ from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, write_exr
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.base.runtime import mitsuba_rays
+from pipeline.geometry.surface import Surface
 from pipeline.render.envmap import mitsuba_gradient, to_mitsuba
-from pipeline.render.shading_normals import material_keys, with_normal_map
+from pipeline.render.shading_normals import with_normal_map
 from pipeline.render.surroundings import Ground
 
-KEYS = {
-    "light": "light.data",
-    "base_color": "obj.bsdf.brdf_0.base_color.data",
-    "roughness": "obj.bsdf.brdf_0.roughness.data",
-    "metallic": "obj.bsdf.brdf_0.metallic.data",
-}
+LIGHT = "light.data"  # Mitsuba's name of the light's pixels
+MATERIAL = "obj.bsdf."  # begins the names of the object's textures
+MAPS = ("base_color", "roughness", "metallic")
 
 # radiance (n, 3) of n pixels -> the loss, and its derivative (n, 3) in the radiance
 LossAndSlope = Callable[[np.ndarray], tuple[float, np.ndarray]]
@@ -88,9 +86,9 @@ def _blank_texture(side: int, channels: int) -> dict:
     }
 
 
-def _scene(mesh: Path, texture: int, light_height: int, ground: Ground | None) -> Any:
-    """Mitsuba scene of a mesh, with the normal map that lies beside it, and blank textures of side
-    `texture` under a constant light, on the `ground` if there is one.
+def _scene(surface: Surface, texture: int, light_height: int, ground: Ground | None) -> Any:
+    """Mitsuba scene of a surface with its normal map and blank textures of side `texture` under a
+    constant light, on the `ground` if there is one.
     """
     light = np.ones((2 * light_height + 1, 2 * light_height, 3), np.float32)  # as `to_mitsuba`
     material = {
@@ -100,18 +98,31 @@ def _scene(mesh: Path, texture: int, light_height: int, ground: Ground | None) -
         "roughness": _blank_texture(texture, 1),
         "metallic": _blank_texture(texture, 1),
     }
-    surface = {
+    shape = {
         "type": "ply",
-        "filename": str(mesh),
+        "filename": str(surface.mesh),
         "flip_tex_coords": True,
-        "bsdf": {"type": "twosided", "b": with_normal_map(material, mesh)},
+        "bsdf": {"type": "twosided", "b": with_normal_map(material, surface)},
     }
     parts = {
         "type": "scene",
         "light": {"type": "envmap", "bitmap": mi.Bitmap(light)},
-        "obj": surface,
+        "obj": shape,
     }
     return mi.load_dict(parts if ground is None else parts | {"ground": ground.shape()})
+
+
+def parameter_keys(names: Iterable[str]) -> dict[str, str]:
+    """Mitsuba's names of the light and of each of MAPS, among all `names` of a scene's parameters:
+    a texture is known by what it is called, whatever its material is wrapped in.
+    """
+    names = list(names)
+    keys = {"light": LIGHT}
+    for part in MAPS:
+        (keys[part],) = (
+            name for name in names if name.startswith(MATERIAL) and name.endswith(f".{part}.data")
+        )
+    return keys
 
 
 def crossed_adjoint(paths: np.ndarray, loss_and_slope: LossAndSlope) -> tuple[float, np.ndarray]:
@@ -132,8 +143,8 @@ def crossed_adjoint(paths: np.ndarray, loss_and_slope: LossAndSlope) -> tuple[fl
 
 
 class Renderer:
-    """A mesh with textures of side `texture` under a light of `light_height` rows. Where a normal
-    map lies beside the mesh (pipeline/geometry/normal_maps.py) it shades with that.
+    """A mesh with textures of side `texture` under a light of `light_height` rows. Where the
+    mesh has a normal map (pipeline/geometry/surface.py) it shades with that.
 
     max_depth counts as in Mitsuba: 2 = direct light only, 4 = up to three surface interactions.
     ground: shines on the object and hides the light below it; cameras do not see it. `scene` is of
@@ -151,22 +162,27 @@ class Renderer:
     ):
         if not Path(mesh).exists():
             raise InputError("the mesh does not exist", mesh, "run the atlas stage first")
-        self.mesh = Path(mesh)
+        self.surface = Surface.of(mesh)
         self.max_depth = max_depth
         self.texture = texture
         self.light_shape = (light_height, 2 * light_height, 3)
 
         self.ground = ground
-        self.scene = _scene(self.mesh, texture, light_height, None)
+        self.scene = _scene(self.surface, texture, light_height, None)
         self.lit = self.scene
         if ground is not None:
-            self.lit = _scene(self.mesh, texture, light_height, ground)
+            self.lit = _scene(self.surface, texture, light_height, ground)
         self.params = mi.traverse(self.lit)
-        self.keys = material_keys(KEYS, self.mesh)
+        self.keys = parameter_keys(self.params.keys())
         self.params.keep(list(self.keys.values()))
         self.integrator = mi.load_dict(
             {"type": "prb", "max_depth": max_depth, "rr_depth": 1000, "hide_emitters": True}
         )
+
+    @property
+    def mesh(self) -> Path:
+        """The surface's mesh file."""
+        return self.surface.mesh
 
     def set(self, explanation: Explanation, differentiable: bool = False) -> dict:
         """Load an explanation into the scene; returns the tensors, by name, that gradients arrive

@@ -22,6 +22,7 @@ import numpy as np
 from pipeline.base.config import Poses
 from pipeline.geometry.cameras import Rig, View
 from pipeline.photos.photometry import DARK, gains
+from pipeline.photos.readings import Readings
 from pipeline.photos.turntable import LightMotion, check, motion_of
 
 CELLS = 48  # along a side of the texture
@@ -35,7 +36,8 @@ ENOUGH_PIXELS = 300_000  # over all photos
 
 def cell_brightness(table: dict[str, np.ndarray], views: int) -> np.ndarray:
     """Mean log2 radiance (views, cells, 3) of every cell of the texture in every view, NaN where it
-    shows no usable pixel. table: of make_observations (pipeline/render/observe.py).
+    shows no usable pixel. table: of make_observations (pipeline/render/observe.py). However many
+    pixels there are, it is 55 kB a view.
     """
     column, row = np.clip((table["uv"] * CELLS).astype(int), 0, CELLS - 1).T
     size = (views, CELLS * CELLS)
@@ -57,7 +59,7 @@ def surface_motion(
 ) -> LightMotion:
     """Evidence from log2 radiance (views, cells, 3) less the photos' gains (views, 3)."""
     level = brightness[..., GREEN] - stops[:, GREEN, None]
-    return motion_of(views, level, center, LEAST_COURSE)
+    return motion_of(views, Readings.of(level), center, LEAST_COURSE)
 
 
 def variance_left(level: np.ndarray, stops: np.ndarray) -> float:

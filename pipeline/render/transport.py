@@ -39,7 +39,8 @@ from scipy.spatial import cKDTree
 
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.base.runtime import mitsuba_rays
-from pipeline.geometry.mesh_io import load_mesh, sample_surface
+from pipeline.geometry.mesh_io import sample_surface
+from pipeline.geometry.surface import Surface
 from pipeline.render.envmap import uv_from_direction
 from pipeline.render.light_grid import bilinear, grid_directions, light_weights
 from pipeline.render.observe import Observations
@@ -108,11 +109,11 @@ class Hits:
         )
 
 
-def meet(scene: Any, mesh_path: Path, rays: tuple[np.ndarray, np.ndarray]) -> Hits:
+def meet(scene: Any, surface: Surface, rays: tuple[np.ndarray, np.ndarray]) -> Hits:
     """First hits of rays, origins and directions (k, 3), on the mesh with its normal map."""
     si = scene.ray_intersect(mitsuba_rays(*rays))
     valid = np.array(si.is_valid()).astype(bool)
-    mapped = shading_frames(si, mesh_path)[:, 2]
+    mapped = shading_frames(si, surface)[:, 2]
     return Hits(valid, np.array(si.p).T, mapped, np.array(si.sh_frame.n).T, rays[1])
 
 
@@ -150,7 +151,7 @@ class Transport:
     def __init__(
         self,
         scene: Any,
-        mesh_path: Path,
+        mesh: Path,
         observations: Observations,
         rows: Rows,
         h: int,
@@ -165,20 +166,21 @@ class Transport:
         self.h = h
         self.rng = np.random.default_rng([7, seed])
 
-        self._meet_surface(mesh_path, observations, normal_error)
+        surface = Surface.of(mesh)
+        self._meet_surface(surface, observations, normal_error)
         self._lay_grid()
-        self._place_nodes(mesh_path, nodes)
+        self._place_nodes(surface, nodes)
         self._look_around()
 
     def _meet_surface(
-        self, mesh_path: Path, observations: Observations, normal_error: float
+        self, surface: Surface, observations: Observations, normal_error: float
     ) -> None:
         """Of every row's rays: where they meet the surface (n, R, 3), shading frame (n, R, 3, 3:
         its rows are s, t and the mapped normal), unmapped normal and local direction to the camera
         (n, R, 3); and the row's position (n, 3), its central pixel's.
         """
         count = 1 if self.rows.patch is None else RAYS
-        hits = self._hits(mesh_path, observations, self.rows.rays(count, self.rng))
+        hits = self._hits(surface, observations, self.rows.rays(count, self.rng))
         in_rows = lambda values: values.reshape(-1, count, 3)
 
         normal = without_error(in_rows(hits.normal), normal_error)
@@ -190,18 +192,18 @@ class Transport:
         self.ray_position = in_rows(hits.position)
         self.ray_normal = in_rows(hits.unmapped)
         central = observations.centre_rays(self.rows.observation)
-        self.position = meet(self.scene, mesh_path, central).position
+        self.position = meet(self.scene, surface, central).position
 
-    def _hits(self, mesh_path: Path, observations: Observations, rays: np.ndarray) -> Hits:
+    def _hits(self, surface: Surface, observations: Observations, rays: np.ndarray) -> Hits:
         """Of rays through the pixels `rays` (n, R): through a random place in each where the rows
         have patches; through its centre where that ray strays beyond an edge, or without patches.
         """
         through = rays.ravel()
-        centre = meet(self.scene, mesh_path, observations.centre_rays(through))
+        centre = meet(self.scene, surface, observations.centre_rays(through))
         if self.rows.patch is None:
             return centre
 
-        jittered = meet(self.scene, mesh_path, observations.rays(through, self.rng))
+        jittered = meet(self.scene, surface, observations.rays(through, self.rng))
         alike = (jittered.unmapped * centre.unmapped).sum(-1) > np.cos(np.radians(CONE))
         return jittered.where(jittered.valid & alike, centre)
 
@@ -217,13 +219,13 @@ class Transport:
         row, column = np.divmod(np.arange(len(self.cell_direction)), 2 * self.grid_rows)
         self.cell_ray = (column + 3 * row) % self.frame.shape[1]
 
-    def _place_nodes(self, mesh_path: Path, extra: int) -> None:
+    def _place_nodes(self, surface: Surface, extra: int) -> None:
         """Radiosity nodes: the rows' points, then `extra` random ones over the whole surface; each
         knows its nearest point.
         """
         first = self.rows.starts
         points = self.position[first]
-        mesh = load_mesh(mesh_path)
+        mesh = surface.geometry
         elsewhere, facing = sample_surface(mesh, extra, self.rng)
         nearest = cKDTree(points).query(elsewhere)[1]
 

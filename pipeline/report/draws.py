@@ -1,6 +1,13 @@
-"""How many samples a scene needs, by how much they differ."""
+"""The samples of a finished run, by how much they differ, and how many a scene needs.
+
+They are read one after another and let go: at 4096 texels a side each has 340 MB.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,15 +19,55 @@ FEWEST = 2
 MOST = 64
 
 
-def spread_of(samples: list[Explanation]) -> float:
+class Samples(Sequence):
+    """The refined samples in a scene's work folder, each read whenever it is asked for."""
+
+    def __init__(self, work: Path, count: int):
+        self.folders = [work / "refine" / str(k) for k in range(count)]
+
+    def __len__(self) -> int:
+        return len(self.folders)
+
+    def __getitem__(self, k: Any) -> Any:
+        return Explanation.load(self.folders[k])
+
+    def __iter__(self) -> Iterator[Explanation]:
+        return map(Explanation.load, self.folders)
+
+
+Parts = tuple[np.ndarray, ...]
+
+
+def deviations(
+    samples: Sequence[Explanation], of: Callable[[Explanation], Parts], ddof: int = 0
+) -> Parts:
+    """Standard deviation over samples of each array that `of` makes of one. ddof: 1 for the
+    unbiased variance.
+    """
+    count = len(samples)
+    mean = [part / count for part in _sum(of(x) for x in samples)]
+    square = lambda x: tuple((part - m) ** 2 for part, m in zip(of(x), mean))
+    return tuple(np.sqrt(part / (count - ddof)) for part in _sum(square(x) for x in samples))
+
+
+def _sum(parts: Iterator[Parts]) -> Parts:
+    """Sums of the arrays, in order."""
+    total = tuple(part.copy() for part in next(parts))
+    for more in parts:
+        for sums, part in zip(total, more):
+            sums += part
+    return total
+
+
+def spread_of(samples: Sequence[Explanation]) -> float:
     """Root mean square over texels and channels of the standard deviation (n - 1) of the samples'
     base colour, sRGB.
     """
-    colors = np.stack([linear_to_srgb(x.base_color) for x in samples])
-    return float(np.sqrt(colors.var(0, ddof=1).mean()))
+    (color,) = deviations(samples, lambda x: (linear_to_srgb(x.base_color),), ddof=1)
+    return float(np.sqrt((color**2).mean()))
 
 
-def samples_needed(samples: list[Explanation]) -> dict:
+def samples_needed(samples: Sequence[Explanation]) -> dict:
     """How many samples make the standard error of their mean base colour KNOWN_TO, s^2 / KNOWN_TO^2
     for a spread of s, between FEWEST and MOST; and the evidence. Empty for a single sample, which
     says nothing of spread.

@@ -10,8 +10,7 @@ from pathlib import Path
 from pipeline.base.config import Scene
 from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
-from pipeline.render.renderer import Explanation
-from pipeline.report.draws import samples_needed, samples_words
+from pipeline.report.draws import Samples, samples_needed, samples_words
 from pipeline.report.html import page
 from pipeline.report.pictures import Painter, contact_sheet, normal_map
 from pipeline.report.trust import evidence, in_words, load_model, probability
@@ -34,7 +33,7 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     """
     facts = stage_facts(work, scene.samples)
     rig = load_cameras(work / "poses" / "cameras.json")
-    explanations = [Explanation.load(work / "refine" / str(k)) for k in range(scene.samples)]
+    explanations = Samples(work, scene.samples)
 
     held = facts["observe"]["held_out"]
     view = next((v for v in rig.views if held and v.name == held[0]), rig.views[0])

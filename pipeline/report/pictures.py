@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -12,11 +13,12 @@ from PIL import Image
 from pipeline.base.config import Scene
 from pipeline.base.images import in_rows, linear_to_srgb, read_exr, read_png, to_srgb8
 from pipeline.geometry.cameras import Rig, View
-from pipeline.geometry.normal_maps import normal_map_of, read_normal_map
+from pipeline.geometry.surface import Surface
 from pipeline.render.envmap import directions, mean_radiance, resample_area
 from pipeline.render.metrics import psnr, render_pixels, render_twice
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.render.surroundings import Ground, Surroundings
+from pipeline.report.draws import deviations
 
 HEAT = cv2.COLORMAP_INFERNO
 
@@ -42,10 +44,10 @@ def shrink(texture: np.ndarray) -> np.ndarray:
 
 def normal_map(work: Path) -> bytes | None:
     """The surface's normal map as it is exported, or None where it has none."""
-    path = normal_map_of(work / "atlas" / "mesh_uv.ply")
-    if path is None:
+    normals = Surface.of(work / "atlas" / "mesh_uv.ply").normals
+    if normals is None:
         return None
-    return encode((shrink(read_normal_map(path)) * 255).astype(np.uint8))
+    return encode((shrink(normals) * 255).astype(np.uint8))
 
 
 def contact_sheet(work: Path, rig: Rig, height: int = 150, limit: int = 18) -> bytes:
@@ -147,21 +149,23 @@ class Painter:
             "mean_base_color": float(x.base_color.mean()),
         }
 
-    def spread(self, samples: list[Explanation]) -> dict[str, bytes]:
+    def spread(self, samples: Sequence[Explanation]) -> dict[str, bytes]:
         """Standard deviation over samples of each map and of the log light; empty for a single
         sample.
         """
         if len(samples) < 2:
             return {}
 
-        deviation = lambda f: np.std([f(x) for x in samples], axis=0).astype(np.float32)
-        color = deviation(lambda x: linear_to_srgb(x.base_color)).mean(-1)
-        roughness = deviation(lambda x: x.roughness)
-        metallic = deviation(lambda x: x.metallic)
-        light = deviation(lambda x: np.log(np.maximum(x.light, 1e-4) / x.light.mean())).mean(-1)
-        light = cv2.resize(light, (512, 256), interpolation=cv2.INTER_NEAREST)
+        shown = lambda x: (
+            linear_to_srgb(x.base_color),
+            x.roughness,
+            x.metallic,
+            np.log(np.maximum(x.light, 1e-4) / x.light.mean()),
+        )
+        color, roughness, metallic, light = deviations(samples, shown)
+        light = cv2.resize(light.mean(-1), (512, 256), interpolation=cv2.INTER_NEAREST)
         return {
-            "base colour (0 to 0.2, sRGB)": encode(heat(shrink(color), 0.2)),
+            "base colour (0 to 0.2, sRGB)": encode(heat(shrink(color.mean(-1)), 0.2)),
             "roughness (0 to 0.3)": encode(heat(shrink(roughness), 0.3)),
             "metallic (0 to 0.3)": encode(heat(shrink(metallic), 0.3)),
             "light (log radiance, 0 to 2)": encode(heat(light, 2.0)),

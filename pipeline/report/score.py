@@ -16,8 +16,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.images import linear_to_srgb
 from pipeline.geometry.mesh_io import save_mesh
-from pipeline.geometry.normal_maps import FILE as NORMAL_MAP
-from pipeline.geometry.normal_maps import write_normal_map
+from pipeline.geometry.surface import Surface
 from pipeline.posterior.textures import gather
 from pipeline.render.declared import METRICS
 from pipeline.render.draw_metrics import crps, sample_variance
@@ -237,7 +236,7 @@ def renderer_of(asset: UsdAsset, folder: Path, light_rows: int) -> Renderer:
     mesh = folder / "mesh_uv.ply"
     save_mesh(mesh, asset.mesh)
     if asset.normal is not None:
-        write_normal_map(folder / NORMAL_MAP, 2 * asset.normal - 1)
+        Surface.of(mesh).with_normals(2 * asset.normal - 1)
     return Renderer(mesh, len(asset.explanation.roughness), light_rows, MAX_DEPTH)
 
 
@@ -263,7 +262,9 @@ def score_asset(
                     path,
                     "place it in the frame of the scene's transforms.json (Z-up) before scoring",
                 )
-            draws.append(score_explanation(renderer, asset.explanation, truth, spp, step))
+            own = asset.explanation  # in the unit of the user's photos, as the truth's folder is
+            seen = replace(own, light=own.light / truth.white)
+            draws.append(score_explanation(renderer, seen, truth, spp, step))
         values = draws[-1].values | {"outline_overlap": overlap}
         samples[variant or "asset"] = {"scores": values, "views": draws[-1].views}
         notes += [note for note in asset.notes if note not in notes]

@@ -7,7 +7,7 @@ worse than 18 dB. Words say which figure weighs, and what to photograph next.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
 from pathlib import Path
@@ -159,7 +159,7 @@ def relit(
 
 
 def evidence(
-    work: Path, rig: Rig, explanations: list[Explanation], scene: Scene, held_out: list[float]
+    work: Path, rig: Rig, explanations: Sequence[Explanation], scene: Scene, held_out: list[float]
 ) -> Evidence | None:
     """Of a finished run; None where there are no two draws, or no photo was held out.
 
@@ -167,11 +167,11 @@ def evidence(
     """
     if len(explanations) < 2 or not held_out:
         return None
-    first = explanations[0]
+    texture = len(explanations[0].roughness)
+    lights = [x.light for x in explanations]
     views = small_views(work, rig, "mesh/masks")
     mesh = work / "atlas" / "mesh_uv.ply"
-    renderer = Renderer(mesh, len(first.roughness), len(first.light), scene.render.max_depth)
-    lights = [x.light for x in explanations]
+    renderer = Renderer(mesh, texture, len(lights[0]), scene.render.max_depth)
     # one brightness for all draws: a light that one of them takes for brighter makes it darker here
     brightness = float(np.exp(np.mean([np.log(mean_radiance(x).mean()) for x in lights])))
     pictures = [relit(renderer, x, views, brightness) for x in explanations]

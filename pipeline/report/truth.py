@@ -4,6 +4,9 @@ A scene folder (docs/scene_folder.md) with transforms_test.json, masks/ and trut
 benchmarks/make_scene.py and benchmarks/layouts write them. Every picture may lie beside it once
 more under again/, rendered with noise of its own. Light, maps and relit views may be missing: then
 their scores are too, and a note says so.
+
+In memory radiance is in the scene's unit (pipeline/photos/radiance.py), as everywhere in the
+pipeline.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from pipeline.base.files import json_entry
 from pipeline.base.images import read_exr, read_png, srgb_to_linear
 from pipeline.geometry.cameras import View
 from pipeline.photos.given_cameras import read_transforms
+from pipeline.photos.radiance import level_of, white_of
 from pipeline.photos.scene_files import mask_file, named_frames, photo_name
 from pipeline.render.envmap import check_lat_long
 from pipeline.render.observe import Tracer, inner_mask
@@ -40,6 +44,10 @@ class Picture:
     def mean(self) -> np.ndarray:
         """Mean of both, where there are two."""
         return self.pixels if self.again is None else 0.5 * (self.pixels + self.again)
+
+    def over(self, white: float) -> Picture:
+        """The same in the unit in which `white` is 1."""
+        return Picture(self.pixels / white, None if self.again is None else self.again / white)
 
 
 @dataclass
@@ -63,17 +71,23 @@ class Relit:
     views: list[TrueView]
     pictures: list[Picture]
 
+    def over(self, white: float) -> Relit:
+        """The same in the unit in which `white` is 1."""
+        views = [replace(view, photo=view.photo.over(white)) for view in self.views]
+        return Relit(self.light / white, views, [shown.over(white) for shown in self.pictures])
+
 
 @dataclass
 class Truth:
     """light: (h, 2h, 3), None where it is not known; relights: by name. notes: what the folder
-    lacks.
+    lacks. white: the radiance, in the folder's unit, that is 1 here.
     """
 
     views: list[TrueView]
     light: np.ndarray | None
     relights: dict[str, Relit]
     notes: list[str]
+    white: float = 1.0
 
     def known_light(self) -> np.ndarray:
         """The light. Raises InputError where it is not known."""
@@ -173,8 +187,18 @@ def held_out(folder: Path, notes: list[str]) -> list[TrueView]:
     return views
 
 
+def white_of_views(folder: Path, views: list[TrueView]) -> float:
+    """The radiance that is white in a scene with these held-out views: 1, the full scale of its
+    photos, unless all of them are EXRs, whose unit may be any.
+    """
+    photos = named_frames(folder, folder / CAMERAS)
+    if any(photo.suffix.lower() != ".exr" for photo in photos):
+        return 1.0
+    return white_of([level_of(known.photo.mean, known.outline) for known in views])
+
+
 def load_truth(folder: Path) -> Truth:
-    """Raises InputError naming what a folder lacks."""
+    """The truth in the scene's unit. Raises InputError naming what a folder lacks."""
     needed(folder, "folder")
     notes: list[str] = []
     views = held_out(folder, notes)
@@ -188,7 +212,15 @@ def load_truth(folder: Path) -> Truth:
     else:
         notes += [] if light is not None else ["the truth has no light"]
         notes += [] if relights else ["the truth has no view under another light"]
-    return Truth(views, light, relights, notes)
+
+    white = white_of_views(folder, views)
+    return Truth(
+        [replace(known, photo=known.photo.over(white)) for known in views],
+        None if light is None else light / white,
+        {name: relit.over(white) for name, relit in relights.items()},
+        notes,
+        white,
+    )
 
 
 def relights_of(scene: Path, views: list[TrueView]) -> dict[str, Relit]:

@@ -15,9 +15,9 @@ import numpy as np
 from scipy import ndimage, sparse
 
 from pipeline.base.config import Atlas
-from pipeline.geometry import normal_maps
-from pipeline.geometry.mesh_io import Mesh, adjacency, load_mesh, unit
-from pipeline.geometry.normal_maps import face_tangents, frames_of
+from pipeline.geometry.mesh_io import Mesh, load_mesh, unit, vertex_adjacency
+from pipeline.geometry.normal_maps import face_tangents, frames_of, mirrored_share
+from pipeline.geometry.surface import Surface
 from pipeline.surface.preview import caster
 from pipeline.surface.raster import texel_faces
 
@@ -34,7 +34,7 @@ def filtered_normals(mesh: Mesh, steps: int = STEPS) -> np.ndarray:
     """Vertex normals (n, 3) averaged `steps` times over their neighbours, which count by how alike
     their normals are: bilateral normal filtering (Zheng et al. 2011), of vertices.
     """
-    one_end, other_end = adjacency(len(mesh.vertices), mesh.faces).nonzero()
+    one_end, other_end = vertex_adjacency(len(mesh.vertices), mesh.faces).nonzero()
 
     normal = unit(mesh.normals)
     for _ in range(steps):
@@ -167,7 +167,8 @@ def make_normal_map(mesh: Path, atlas: Path, settings: Atlas) -> dict:
     """Write normal.png into `atlas`, beside its mesh_uv.ply, where the mesh stage's folder `mesh`
     keeps a dense surface; returns facts, or why there is none.
     """
-    low = load_mesh(atlas / "mesh_uv.ply")
+    surface = Surface.of(atlas / "mesh_uv.ply")
+    low = surface.geometry
     why = _why_none(mesh / DENSE, low, settings)
     if why:
         return {"normal_map": why}
@@ -176,8 +177,8 @@ def make_normal_map(mesh: Path, atlas: Path, settings: Atlas) -> dict:
     dense = load_mesh(mesh / DENSE)
     dense.normals = filtered_normals(dense)
     normals, facts = bake(low, dense, settings.resolution, settings.padding)
-    path = atlas / normal_maps.FILE
-    normal_maps.write_normal_map(path, normals)
+    path = surface.with_normals(normals).normal_map
+    assert path is not None  # it was written
     return {
         "normal_map": f"what decimation took from {len(dense.faces)} triangles",
         "normal_map_found_share": facts["found_share"],
@@ -193,7 +194,7 @@ def _why_none(dense: Path, low: Mesh, settings: Atlas) -> str | None:
     if not dense.exists():
         return "none: the mesh was given, nothing was taken from it"
 
-    mirrored = normal_maps.mirrored_share(low)
+    mirrored = mirrored_share(low)
     if mirrored > MIRRORED:
         return f"none: the atlas mirrors {100 * mirrored:.0f} % of its area"
     return None

@@ -58,12 +58,12 @@ def neighbours(
     return [[int(j) for j in np.argsort(row)[:count] if np.isfinite(row[j])] for row in cost]
 
 
-def scale_for(views: list[View], covered: list[float], budget: int, largest: float) -> float:
+def scale_for(views: list[View], covered: list[float], budget: int) -> float:
     """The scale at which the pixels `covered` (at full size, one number a view) sum to `budget`,
-    at most `largest`.
+    at most 1.
     """
     side = min(min(v.width, v.height) for v in views)
-    scale = min(largest, float(np.sqrt(budget / max(sum(covered), 1.0))))
+    scale = min(1.0, float(np.sqrt(budget / max(sum(covered), 1.0))))
     return max(scale, min(1.0, SMALLEST_SIDE / side))
 
 
@@ -236,7 +236,6 @@ def depth_maps(
     hull: Mesh,
     margin: float,
     budget: int,
-    largest: float,
     threads: int,
     ground: float | None = None,
     seed: int = 0,
@@ -245,13 +244,13 @@ def depth_maps(
     one.
 
     images: grey (h, w) in [0, 1], any scale of the views; hull: closed surface around the object,
-    right to within `margin`; budget: object pixels over all photos; largest: scale of the views
-    that is never exceeded; ground: height of the plane that the object stands on, if any.
+    right to within `margin`; budget: object pixels over all photos that
+    is never exceeded; ground: height of the plane that the object stands on, if any.
     """
     numba.set_num_threads(min(threads, numba.get_num_threads()))
     between = HullRange(hull, margin, ground)
     covered = [16.0 * float((between(v.scaled(0.25))[1] > 0).sum()) for v in views]
-    scale = scale_for(views, covered, budget, largest)
+    scale = scale_for(views, covered, budget)
     center = 0.5 * (between.low + between.high)
     radius = 0.5 * float(np.linalg.norm(between.high - between.low))
     partners = neighbours(views, center, OTHERS)

@@ -22,11 +22,8 @@ def projections(views: list[View], width: int, height: int) -> np.ndarray:
     """(v, 3, 4) matrices from world points to pixel coordinates of images resized to (width,
     height).
     """
-    out = []
-    for v in views:
-        scale = np.diag([width / v.width, height / v.height, 1.0])
-        out.append(scale @ v.K @ v.world_to_camera[:3])
-    return np.stack(out).astype(np.float32)
+    resized = [v.at_size(width, height) for v in views]
+    return np.stack([v.K @ v.world_to_camera[:3] for v in resized]).astype(np.float32)
 
 
 def signed_distance(mask: np.ndarray) -> np.ndarray:

@@ -140,7 +140,6 @@ def build_field(
             hull,
             seen.margin,
             settings.depth_pixels,
-            settings.depth_scale,
             threads,
             seen.ground,
         )

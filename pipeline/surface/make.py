@@ -48,7 +48,7 @@ def reconstructed(
     if how["method"] == "fused" and settings.refine_steps:
         near = neighbours(rig.views, rig.center, NEIGHBOURS)
         steps = (settings.refine_steps,) * 2
-        refinement = Refinement(scales=(0.5, 1.0), steps=steps, plate=settings.plate)
+        refinement = Refinement(steps=steps, plate=settings.plate)
         dense, facts_of_steps = refine_mesh(
             dense, rig.views, images, near, refinement, threads=threads
         )

@@ -27,6 +27,7 @@ import cv2
 import numpy as np
 from numba import njit
 
+from pipeline.base.config import Mesh as MeshSettings
 from pipeline.base.progress import Bar
 from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import Mesh, unit, vertex_normals
@@ -42,16 +43,16 @@ ASLANT = 0.2  # smallest cosine between a surface's normal and the view's ray
 class Refinement:
     """Settings of `refine_mesh`.
 
-    scales: of the photos, coarse to fine; steps: at each scale; plate: weight of the thin plate;
+    steps: at each scale; scales: of the photos, coarse to fine; plate: weight of the thin plate;
     it keeps bumps of about (plate / .05)^(1/4) pixels' footprints across from following noise,
     whatever the scale. crease: bend in pixels' footprints from which on the plate gives way, so
     that edges stay sharp. pixels: of all views together, at most, that one step looks at: where the
     object's photos have more the scales are reduced.
     """
 
+    steps: tuple[int, ...] = (MeshSettings().refine_steps,) * 2
     scales: tuple[float, ...] = (0.5, 1.0)
-    steps: tuple[int, ...] = (3, 5)
-    plate: float = 1.0
+    plate: float = MeshSettings().plate
     crease: float = 0.5
     pixels: float = 12e6
 

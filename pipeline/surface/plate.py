@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
 
-from pipeline.geometry.mesh_io import adjacency, unit, vertex_normals
+from pipeline.geometry.mesh_io import unit, vertex_adjacency, vertex_normals
 
 LONGEST = 1.0  # footprints that a vertex moves in one step
 ANCHOR = 3e-3  # weight of staying at home, per pixel, with one footprint as unit
@@ -22,7 +22,7 @@ def umbrella(count: int, faces: np.ndarray) -> sparse.csr_matrix:
     """The operator L (n, n): mean of a vertex's neighbours minus the vertex; zero row where it has
     none.
     """
-    edges = adjacency(count, faces).astype(float)
+    edges = vertex_adjacency(count, faces).astype(float)
     degree = np.asarray(edges.sum(1)).ravel()
     mean = sparse.diags(1 / np.maximum(degree, 1)) @ edges
     return (mean - sparse.diags((degree > 0).astype(float))).tocsr()

@@ -23,8 +23,8 @@ from pipeline.base import manifest
 from pipeline.base.errors import InputError
 from pipeline.base.files import room_beside, writable_parent
 from pipeline.base.locks import alone
-from pipeline.geometry.mesh_io import Mesh, load_mesh
-from pipeline.geometry.normal_maps import normal_map_of
+from pipeline.geometry.mesh_io import Mesh
+from pipeline.geometry.surface import Surface
 from pipeline.render.renderer import Explanation
 from pipeline.usd.check import check
 from pipeline.usd.material import define_material
@@ -146,20 +146,19 @@ def in_unit(sample: Path, white: float) -> Explanation:
 
 
 def build(
-    folder: Path, scene: str, surface: Path, samples: list[Path], facts: dict, white: float
+    folder: Path, scene: str, surface: Surface, samples: list[Path], facts: dict, white: float
 ) -> None:
-    """Write <scene>.usda and <scene>/ into `folder`; surface: the mesh with its atlas, beside which
-    the normal map lies. RuntimeError when a file does not pass the validators.
+    """Write <scene>.usda and <scene>/ into `folder`. RuntimeError when a file does not pass the
+    validators.
     """
     name = Tf.MakeValidIdentifier(scene)
     inside = folder / scene
     inside.mkdir()
-    mesh = load_mesh(surface)
-    normal_map = normal_map_of(surface)
+    mesh = surface.geometry
     normal = None
-    if normal_map is not None:
-        shutil.copy(normal_map, inside / normal_map.name)
-        normal = f"{scene}/{normal_map.name}"
+    if surface.normal_map is not None:
+        shutil.copy(surface.normal_map, inside / surface.normal_map.name)
+        normal = f"{scene}/{surface.normal_map.name}"
 
     assets = [
         write_textures(in_unit(s, white), inside / f"sample_{k}", f"{scene}/sample_{k}", normal)
@@ -221,7 +220,7 @@ def export(atlas: Path, samples: list[Path], out: Path, facts: dict, white: floa
     InputError when exports/ cannot be written, RuntimeError when an export does not pass the USD
     validators.
     """
-    surface = atlas / "mesh_uv.ply"
+    surface = Surface.of(atlas / "mesh_uv.ply")
     with staging(out) as folder:
         build(folder, out.stem, surface, samples, facts | {"samples": len(samples)}, white)
         unpacked = package(folder, out.stem)

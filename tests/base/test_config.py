@@ -15,6 +15,8 @@ def test_preset_lies_under_the_scene(tmp_path):
     [
         ({"photos": "x", "meshh": {}}, ["meshh", "mesh"]),
         ({"photos": "x", "mesh": {"gird": 1}}, ["mesh.gird", "grid"]),
+        ({"photos": "x", "mesh": {"depth_scale": 1}}, ["any more", "mesh.depth_pixels alone"]),
+        ({"photos": "x", "poses": {"seed": 3}}, ["any more", "remove the line"]),
         ({"photos": "x", "samples": 0}, ["samples", "greater than or equal to 1"]),
         ({"photos": "x", "preset": "drfat"}, ["drfat", "draft"]),
         ({"photos": "x", "preset": "é" * 200}, ["unknown preset"]),

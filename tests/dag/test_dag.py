@@ -25,12 +25,13 @@ from pipeline.geometry.cameras import Y_FROM_Z_UP, View
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh
 from pipeline.prior.training.procedural import outdoor
 from pipeline.prior.value_code import scale_of
-from pipeline.render.metrics import psnr, render_view
+from pipeline.render.metrics import psnr
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.run.workflow import WAITS
 from pipeline.usd.check import check
 from tests.conftest import look_at
 from tests.dag.snakemake_server import Server
+from tests.render.pictures import render_view
 from tests.seeds import numpy_rng, seeded
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -31,10 +31,10 @@ from pipeline.posterior.problem import Problem
 from pipeline.posterior.refine import refine, units
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.prior.load import load_prior
-from pipeline.render.metrics import render_view
 from pipeline.render.observe import Observations, make_observations
 from pipeline.render.renderer import Explanation, Renderer
 from tests.conftest import look_at
+from tests.render.pictures import render_view
 from tests.seeds import numpy_rng
 
 pytestmark = pytest.mark.heavy

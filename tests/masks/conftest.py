@@ -47,9 +47,11 @@ def picture(view, balls, ground):
 
 @pytest.fixture
 def make_table(tmp_path, ring):
-    """make(balls, blank=False) -> folder like the poses stage's, Rig, true masks of every ball."""
+    """make(balls, blank=False, gain=1) -> folder like the poses stage's, Rig, true masks of every
+    ball.
+    """
 
-    def make(balls, radius=0.6, blank=False):
+    def make(balls, radius=0.6, blank=False, gain=1.0):
         rng = numpy_rng(0)
         ground = np.repeat(rng.uniform(0.25, 0.75, (64, 64, 1)), 3, -1)
         if blank:
@@ -59,7 +61,7 @@ def make_table(tmp_path, ring):
         for k, v in enumerate(views):
             v.name, v.image = f"p{k}", f"images/p{k}.exr"
             image, seen = picture(v, balls, ground)
-            write_exr(tmp_path / v.image, image)
+            write_exr(tmp_path / v.image, gain * image)
             for masks, mask in zip(truth, seen):
                 masks[v.name] = mask
         plane = {"normal": [0, 1, 0], "offset": GROUND}

@@ -3,9 +3,11 @@ import pytest
 
 from pipeline.base.config import Masks
 from pipeline.base.errors import InputError
-from pipeline.base.images import read_png, write_png
+from pipeline.base.images import read_exr, read_png, write_png
 from pipeline.geometry.cameras import save_cameras
 from pipeline.masks.make import make_masks, said_of_things
+from pipeline.photos.ground_plane import NoGround
+from pipeline.photos.radiance import level_of, white_of
 from tests.masks.conftest import GROUND, PAINTS
 
 BALL = ((0, 0, 0), 0.45, PAINTS["warm"])
@@ -39,6 +41,19 @@ def test_object_is_told_from_its_table_down_to_the_contact(table, tmp_path):
     assert metrics["method"] == "plane" and metrics["warnings"] == []
     recall = [(m & truth[n]).sum() / truth[n].sum() for n, m in masks.items()]
     assert min(recall) > 0.95
+    assert overlaps(masks, truth).mean() > 0.93
+
+
+@pytest.mark.slow
+def test_photos_brighter_than_white_are_masked_as_well(make_table, tmp_path):
+    """Of a level at which `capture` leaves the user's unit as it is: the whole ball and most of the
+    table are above white.
+    """
+    ball = ((0, 0, 0), 0.45, [[0.75, 0.5, 0.45], [0.45, 0.5, 0.75], [0.5, 0.7, 0.45]])
+    folder, rig, (truth,) = make_table([ball], gain=2.5)
+    photo = read_exr(folder / rig.views[0].image)
+    assert white_of([level_of(photo)]) == 1.0 and (photo > 1).mean() > 0.5
+    _, masks = made(folder, tmp_path / "out")
     assert overlaps(masks, truth).mean() > 0.93
 
 
@@ -106,6 +121,11 @@ def test_without_a_ground_plane_the_cure_is_told(table, tmp_path):
     rig.facts["plane"] = None
     save_cameras(folder / "cameras.json", rig)
     with pytest.raises(InputError, match="folder masks/"):
+        make_masks(folder, tmp_path, Masks(), 2)
+
+    rig.facts |= NoGround("only 7 points were matched", "spread out a newspaper").facts()
+    save_cameras(folder / "cameras.json", rig)
+    with pytest.raises(InputError, match="only 7 points were matched(.|\n)*spread out a newspaper"):
         make_masks(folder, tmp_path, Masks(), 2)
 
 

@@ -1,10 +1,14 @@
 """Brightness and white balance from matched points."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from pipeline.base.images import read_exr, write_exr
 from pipeline.photos.photometry import gains, match_exposure, point_brightness, worth_dividing
+from pipeline.photos.readings import Readings
+from pipeline.photos.turntable import light_motion
 from tests.seeds import numpy_rng
 
 STOPS = np.array(
@@ -96,7 +100,49 @@ def test_saturated_sightings_do_not_count(ring, tmp_path):
     write_png(tmp_path / "saturated" / "v0.png", left)
     xyz = numpy_rng(0).uniform(-0.3, 0.3, (100, 3))
     points = {"xyz": xyz, "offsets": np.arange(101), "views": np.zeros(100, int)}
-    found = point_brightness([view], tmp_path, points)[0]
+    found = point_brightness([view], tmp_path, points).value
     clipped = view.project(xyz)[0][:, 0] < 32
     assert np.isnan(found[clipped]).all() and np.allclose(found[~clipped], -1)
     assert 10 < clipped.sum() < 90
+
+
+def test_readings_are_the_table_without_its_gaps():
+    table = np.where(numpy_rng(0).random((5, 9)) < 0.4, numpy_rng(1).normal(size=(5, 9)), np.nan)
+    found = Readings.of(table)
+    np.testing.assert_array_equal(found.sum_of_points(found.value), np.nansum(table, 0))
+    np.testing.assert_allclose(found.sum_of_views(found.value), np.nansum(table, 1))
+
+    views = np.array([True, False, True, True, False])
+    points = np.isfinite(table[views]).sum(0) >= 1
+    some = found.of_views(views).of_points(points)
+    again = np.full((some.views, some.points), np.nan)
+    again[some.view, some.point] = some.value
+    np.testing.assert_array_equal(again, table[views][:, points])
+    stops = numpy_rng(2).normal(size=5)
+    np.testing.assert_array_equal(
+        found.less(stops).value, Readings.of(table - stops[:, None]).value
+    )
+
+
+def test_memory_is_that_of_the_matches_not_of_views_times_points(ring, tmp_path):
+    """Every point is seen by three of forty photos, as points of a walk around an object are."""
+    views = ring(40, 64)
+    count = 40_000
+    picture = numpy_rng(0).uniform(0.1, 0.9, (64, 64, 3)).astype(np.float32)
+    for v in views:
+        write_exr(tmp_path / v.image, picture)
+    first = numpy_rng(1).integers(0, len(views) - 2, count)
+    points = {
+        "xyz": numpy_rng(2).uniform(-0.3, 0.3, (count, 3)),
+        "offsets": np.arange(0, 3 * count + 1, 3),
+        "views": (first[:, None] + np.arange(3)).ravel(),
+    }
+
+    tracemalloc.start()
+    brightness = point_brightness(views, tmp_path, points)
+    stops = gains(brightness)
+    green = brightness.channel(1).less(stops[:, 1])
+    light_motion(views, green, points["xyz"], np.zeros(3), 0.5)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2 * 8 * len(views) * count  # two tables of one channel

@@ -4,20 +4,19 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from pipeline.base.config import Observe, Poses
 from pipeline.base.errors import InputError
 from pipeline.base.images import write_exr
 from pipeline.geometry.cameras import Rig, View, load_cameras, save_cameras
 from pipeline.photos.given_cameras import Lens, read_transforms, turned_right
-from pipeline.photos.poses import (
-    axes_meeting_point,
-    ground_plane,
-    rotation_to_y,
-    similarity,
-    undistort,
-)
+from pipeline.photos.given_world import ground_of_given
+from pipeline.photos.ground_plane import NoGround, ground_plane
+from pipeline.photos.library_frame import rotation_to_y, similarity
 from pipeline.photos.sfm import write_inputs
+from pipeline.photos.undistort import undistort
+from pipeline.photos.viewpoints import axes_meeting_point
 from tests.seeds import numpy_rng
 
 ALL = Observe(held_out=0)  # every photo is used
@@ -116,13 +115,11 @@ def test_ground_is_found_and_turned_level(ring):
         ]
     )
     centers = np.stack([v.position for v in ring(8, elevation=40) if v.position[1] > 0])
-    n, offset, share = ground_plane(
-        flat @ tilt.T, centers @ tilt.T, tilt @ [0, 1, 0], np.zeros(3), 0
-    )
+    plane = ground_plane(flat @ tilt.T, centers @ tilt.T, tilt @ [0, 1, 0], np.zeros(3), 0)
     assert (
-        np.degrees(np.arccos(n @ tilt @ [0, 1, 0])) < 0.5
-        and abs(offset + 0.4) < 0.01
-        and share > 0.4
+        np.degrees(np.arccos(plane.normal @ tilt @ [0, 1, 0])) < 0.5
+        and abs(plane.offset + 0.4) < 0.01
+        and plane.inlier_share > 0.4
     )
 
 
@@ -143,7 +140,47 @@ def test_any_direction_is_turned_up():
 def test_no_ground_in_a_cloud_of_points(ring):
     cloud = numpy_rng(0).normal(size=(500, 3))
     centers = np.stack([v.position for v in ring(8)])
-    assert ground_plane(cloud, centers, np.array([0, 1.0, 0]), np.zeros(3), 0) is None
+    found = ground_plane(cloud, centers, np.array([0, 1.0, 0]), np.zeros(3), 0)
+    assert isinstance(found, NoGround) and "500 matched points" in found.why
+
+
+def test_why_there_is_no_ground(ring):
+    """Too few points, none of the planes below all cameras, or too little on the best one: each has
+    a cure of its own.
+    """
+    up = np.array([0, 1.0, 0])
+    below = np.stack([v.position for v in ring(8)])
+    few = numpy_rng(0).normal(size=(20, 3))
+    found = ground_plane(few, below, up, np.zeros(3), 0)
+    assert isinstance(found, NoGround) and "only 20 points" in found.why
+    assert "texture" in found.cure
+
+    above = np.abs(numpy_rng(0).normal(size=(200, 3))) * 0.1 + [0, 3.0, 0]
+    found = ground_plane(above, below, up, np.array([0, 3.0, 0]), 0)
+    assert isinstance(found, NoGround) and "below all cameras" in found.why
+    assert "from above" in found.cure
+
+    over = numpy_rng(1).uniform([-0.4, -0.3, -0.4], [0.4, 0.5, 0.4], (400, 3))
+    over[:20, 1] = -0.4  # 5 % on a ground, fewer than 80
+    above_it = np.stack([v.position for v in ring(16, elevation=40) if v.position[1] > 0])
+    found = ground_plane(over, above_it, up, np.zeros(3), 0)
+    assert isinstance(found, NoGround) and "the best plane holds" in found.why
+    assert "level table" in found.cure
+
+
+@pytest.mark.parametrize("tilt, part", [(0, "found"), (20, "tilted by 20")])
+def test_a_ground_in_the_world_of_given_cameras_is_level(ring, tilt, part):
+    """Seen by cameras that stand upright over it, or tilted with it."""
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("x", tilt, degrees=True).as_matrix()
+    views = [v for v in ring(16, elevation=40) if v.position[1] > 0]
+    for v in views:
+        v.world_to_camera = v.world_to_camera @ turn.T
+    x, z = numpy_rng(0).uniform(-1, 1, (2, 600))
+    ground = np.stack([x, np.full(600, -0.4), z], 1) @ turn[:3, :3].T
+    _, _, facts = ground_of_given(ground, views, np.zeros(3), 1.0)
+    assert part in facts["ground"]
+    assert (facts.get("no_ground", {}).get("why") == facts["ground"]) == (tilt > 0)
 
 
 def test_axes_meet_at_the_target(ring):

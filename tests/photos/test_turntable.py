@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
+from pipeline.photos.readings import Readings
 from pipeline.photos.turntable import LightMotion, check, light_motion, off_circle
 from tests.seeds import numpy_rng
 
@@ -45,7 +46,7 @@ def sightings(views, kind, rng, points=600):
 def test_moving_light_is_told_from_resting_light_and_from_gloss(ring, kind, moves):
     views = ring(16, elevation=25.0)
     xyz, level = sightings(views, kind, numpy_rng(0))
-    motion = light_motion(views, level, xyz, np.zeros(3), 0.5)
+    motion = light_motion(views, Readings.of(level), xyz, np.zeros(3), 0.5)
     assert motion.moves == moves
     assert motion.explained > 0.3 if moves else motion.explained < 0.05
 
@@ -53,7 +54,7 @@ def test_moving_light_is_told_from_resting_light_and_from_gloss(ring, kind, move
 def test_few_points_are_no_evidence(ring):
     views = ring(16)
     xyz, level = sightings(views, "moves", numpy_rng(0), points=90)
-    assert light_motion(views, level, xyz, np.zeros(3), 0.5).explained is None
+    assert light_motion(views, Readings.of(level), xyz, np.zeros(3), 0.5).explained is None
 
 
 def test_deviation_from_a_circle():

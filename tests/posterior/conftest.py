@@ -14,10 +14,10 @@ from pipeline.posterior.problem import Problem
 from pipeline.prior.training.procedural import outdoor
 from pipeline.prior.value_code import scale_of
 from pipeline.render.envmap import solid_angles
-from pipeline.render.metrics import render_view
 from pipeline.render.observe import Observations, make_observations
 from pipeline.render.renderer import Explanation, Renderer
 from tests.conftest import look_at
+from tests.render.pictures import render_view
 from tests.seeds import numpy_rng, seeded
 
 SKY = 9

@@ -13,9 +13,10 @@ from pipeline.posterior.problem import SHADE
 from pipeline.posterior.refine import refine, solve_base_color, units
 from pipeline.posterior.textures import gather, splat
 from pipeline.prior.load import load_prior
-from pipeline.render.metrics import psnr, render_view
+from pipeline.render.metrics import psnr
 from pipeline.render.renderer import Explanation
 from tests.posterior.test_samplers import median_error
+from tests.render.pictures import render_view
 from tests.seeds import numpy_rng, seeded
 
 

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.render.metrics import render_view
 from pipeline.render.observe import Tracer
 from pipeline.render.renderer import Explanation, Renderer
+from tests.render.pictures import render_view
 from tests.seeds import numpy_rng, seeded
 
 

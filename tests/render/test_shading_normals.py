@@ -12,14 +12,15 @@ from pipeline.base.runtime import mitsuba as mi
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.geometry.mesh_io import load_mesh, save_mesh, unit
 from pipeline.geometry.normal_maps import write_normal_map
+from pipeline.geometry.surface import Surface
 from pipeline.posterior.split_gibbs.lobes import mix
 from pipeline.render.envmap import directions
-from pipeline.render.metrics import render_view
-from pipeline.render.renderer import Renderer
+from pipeline.render.renderer import MAPS, Renderer, parameter_keys
 from pipeline.render.rows import Rows, choose_rows
 from pipeline.render.shading_normals import shading_frames, with_normal_map
 from pipeline.render.transport import Transport
 from tests.conftest import bumpy_normals
+from tests.render.pictures import render_view
 from tests.render.test_renderer import explanation, rays_at_ball
 from tests.render.test_transport import MATERIALS, seen, traced, uniform
 from tests.seeds import seeded
@@ -47,7 +48,7 @@ def test_mitsuba_shades_with_our_normals(bumpy):
     mesh = bumpy / "mesh_uv.ply"
     scene = Renderer(mesh, 8, 8, 2).scene
     si = scene.ray_intersect(mitsuba_rays(*rays_at_ball(4000)))
-    chalk = mi.load_dict(with_normal_map({"type": "diffuse"}, mesh))
+    chalk = mi.load_dict(with_normal_map({"type": "diffuse"}, Surface.of(mesh)))
     tripod = unit(np.array([[1, 0, 2], [-1, 1, 2], [-1, -1, 2]], float))
     value = [
         np.array(chalk.eval(mi.BSDFContext(), si, mi.Vector3f(*wo.tolist()))).mean(0)
@@ -57,7 +58,7 @@ def test_mitsuba_shades_with_our_normals(bumpy):
 
     frame = np.stack([np.array(getattr(si.sh_frame, axis)).T for axis in "stn"], 1)
     mitsubas = np.einsum("kij,ki->kj", frame, local)
-    ours = shading_frames(si, mesh)
+    ours = shading_frames(si, Surface.of(mesh))
     assert degrees_between(mitsubas, ours[:, 2]).max() < 0.1
     assert np.allclose(ours @ ours.transpose(0, 2, 1), np.eye(3), atol=1e-5)
 
@@ -85,6 +86,34 @@ def test_picture_with_map_is_the_dense_surfaces(bumpy, without_map, ring, tmp_pa
     error = lambda p: np.abs(p - truth)[inside].mean() / truth[inside].mean()
     assert error(plain) > 0.06
     assert error(mapped) < 0.4 * error(plain)
+
+
+def test_textures_are_found_whatever_the_material_is_wrapped_in(bumpy, without_map):
+    """By what they are called: in a mask within a normal map as well."""
+    surface = Surface.of(bumpy / "mesh_uv.ply")
+    size = {"base_color": 3, "roughness": 1, "metallic": 1}
+    blank = lambda n: mi.TensorXf(np.full((4, 4, n), 0.5, np.float32))
+    texture = lambda n: {"type": "bitmap", "raw": True, "data": blank(n)}
+    material = lambda: {"type": "principled"} | {name: texture(n) for name, n in size.items()}
+    masked = lambda: {"type": "mask", "opacity": 0.5, "b": material()}
+    shape = {"type": "ply", "filename": str(without_map)}
+    mapped = [with_normal_map(kind(), surface) for kind in (material, masked)]
+    for bsdf in (material(), *mapped):
+        scene = mi.load_dict({"type": "scene", "obj": shape | {"bsdf": bsdf}})
+        params = mi.traverse(scene)
+        found = parameter_keys(params.keys())
+        assert [params[found[name]].shape for name in MAPS] == [(4, 4, n) for n in size.values()]
+
+
+def test_a_surface_knows_its_map(bumpy, without_map):
+    """It is found, copied and written by the surface alone."""
+    surface = Surface.of(bumpy / "mesh_uv.ply")
+    plain = Surface.of(without_map)
+    assert plain.normal_map is None and plain.normals is None
+    again = plain.with_normals(2 * surface.normals - 1)
+    assert again == Surface.of(without_map)
+    np.testing.assert_allclose(again.normals, surface.normals, atol=1 / 65535)
+    assert len(again.geometry.faces) == len(surface.geometry.faces)
 
 
 def test_a_flat_map_changes_nothing(bumpy, without_map):

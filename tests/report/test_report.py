@@ -19,12 +19,12 @@ from pipeline.base.images import linear_to_srgb, srgb_to_linear, to_srgb8, write
 from pipeline.geometry.cameras import Rig, save_cameras
 from pipeline.geometry.mesh_io import load_mesh
 from pipeline.geometry.normal_maps import write_normal_map
-from pipeline.render.metrics import render_view
 from pipeline.render.renderer import Renderer
 from pipeline.report import trust
 from pipeline.report.draws import samples_needed
 from pipeline.report.make import make_report
 from pipeline.report.pictures import Painter, evening_light, heat
+from tests.render.pictures import render_view
 from tests.render.test_renderer import explanation
 
 SIZE = 48

@@ -3,7 +3,9 @@ tools' layouts are read.
 """
 
 import json
+import shutil
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -98,6 +100,40 @@ def test_a_right_asset_scores_at_the_limit_and_a_wrong_one_less(scene, ball, tmp
 
     assert set(right) - {"outline_overlap"} | set(found["together"]) == set(METRICS)
     assert "relight PSNR (dB)" in table(found)
+
+
+def in_unit(scene, unit, folder):
+    """The scene with photos in EXR, its radiance in another unit."""
+    shutil.copytree(scene / "scene", folder)
+    for file in folder.glob("truth/**/*.exr"):
+        if not {"albedo", "roughness", "metallic", "normal"} & set(file.parts):
+            write_exr(file, unit * read_exr(file))
+    cameras = folder / "transforms_test.json"
+    cameras.write_text(cameras.read_text().replace(".png", ".exr"))
+    for file in folder.glob("images/test_*.png"):
+        shutil.copy(folder / "truth" / "linear" / f"{file.stem}.exr", file.with_suffix(".exr"))
+    return folder
+
+
+@pytest.mark.parametrize("unit", [2.0**-7, 2.0**6])
+def test_scores_do_not_depend_on_the_unit_of_radiance(scene, ball, tmp_path, unit):
+    """Above the unit's white every two pictures are alike, and in a large unit all are black."""
+    x = true_explanation(scene)
+    found = []
+    for k, scale in enumerate((unit, unit * 2.0 ** np.sign(np.log2(unit)))):
+        truth = load_truth(in_unit(scene, scale, tmp_path / f"scene{k}"))
+        lit = [replace(one, light=scale * one.light) for one in (x, wrong(x))]
+        (tmp_path / str(k)).mkdir()
+        asset = exported(scene, ball, tmp_path / str(k), *lit)
+        found.append(score_asset(asset, truth, SPP)["samples"])
+
+    right, less = (found[0][f"sample_{k}"]["scores"] for k in (0, 1))
+    assert right["relight_psnr"] > 33 and right["novel_view_psnr"] > 33
+    assert less["relight_psnr"] < right["relight_psnr"] - 12
+    assert abs(right["light_level"]) < 1e-3
+    # the white is a power of two, which changes no digit
+    for name in ("relight_psnr", "novel_view_ssim", "light_level"):
+        assert found[1]["sample_0"]["scores"][name] == pytest.approx(right[name], abs=1e-5)
 
 
 def plain_stage(path, scene, up=UsdGeom.Tokens.z):

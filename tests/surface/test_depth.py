@@ -63,7 +63,7 @@ def world_points(depth):
 def test_depth_and_normals_of_a_painted_plane(slope):
     views = cameras()
     hull = box([-0.5, -0.4, -0.45], [0.5, 0.4, 0.45])
-    depths, share = depth_maps(views, pictures(views, slope), hull, 0.05, 10**6, 1.0, 2)
+    depths, share = depth_maps(views, pictures(views, slope), hull, 0.05, 10**6, 2)
     assert share > 0.4
 
     true = np.array([-slope, 0, 1]) / np.hypot(1, slope)
@@ -78,7 +78,7 @@ def test_a_plane_without_paint_has_no_depth():
     views = cameras()
     hull = box([-0.5, -0.4, -0.45], [0.5, 0.4, 0.45])
     blank = [np.full(SIZE[::-1], 0.5, np.float32)] * len(views)
-    _, share = depth_maps(views, blank, hull, 0.05, 10**6, 1.0, 2)
+    _, share = depth_maps(views, blank, hull, 0.05, 10**6, 2)
     assert share < 0.02
 
 
@@ -87,17 +87,17 @@ def test_same_seed_same_depth_whatever_the_threads():
     views = cameras()[:4]
     images = pictures(views, 0.3)
     hull = box([-0.3, -0.3, -0.3], [0.3, 0.3, 0.3])
-    maps = [depth_maps(views, images, hull, 0.05, 10**5, 0.5, n, seed=seeded(3))[0] for n in (1, 2)]
+    maps = [depth_maps(views, images, hull, 0.05, 10**4, n, seed=seeded(3))[0] for n in (1, 2)]
     for one, two in zip(*maps):
         assert (one.depth == two.depth).all() and (one.normal == two.normal).all()
 
 
 def test_close_ups_are_scaled_to_the_budget():
     views = cameras()
-    assert scale_for(views, [10_000.0] * 6, 60_000, 1.0) == 1.0
-    assert scale_for(views, [10_000.0] * 6, 15_000, 1.0) == pytest.approx(0.5)
-    assert scale_for(views, [10_000.0] * 6, 1, 1.0) == pytest.approx(48 / 120)  # never smaller
-    assert scale_for(views, [1.0] * 6, 60_000, 0.7) == 0.7
+    assert scale_for(views, [10_000.0] * 6, 60_000) == 1.0
+    assert scale_for(views, [10_000.0] * 6, 15_000) == pytest.approx(0.5)
+    assert scale_for(views, [10_000.0] * 6, 1) == pytest.approx(48 / 120)  # never smaller
+    assert scale_for(views, [1.0] * 6, 60_000) == 1.0  # nor enlarged
 
 
 def test_range_of_depth_is_that_of_the_hull_and_what_shows_through_it():

@@ -110,11 +110,10 @@ DECISIONS: dict[str, Callable[[Evidence, Scene, np.random.Generator], Decision]]
 
 
 def choose(evidence: Evidence, scene: Scene) -> dict:
-    """What choose.json holds (`chosen_scene` reads it) where the stage is on.
+    """What the stage says where it is on.
 
-    `settings`: {section: {setting: value}}, which later stages take in place of the configured
-    ones. `decisions`: for each, `chosen` and `configured` in that form, and `evidence`; nothing but
-    `why` where it is not taken.
+    `settings`: of `Chosen`. `decisions`: for each, `chosen` and `configured` in that form, and
+    `evidence`; nothing but `why` where it is not taken.
     """
     settings: dict = {}
     decisions: dict = {}

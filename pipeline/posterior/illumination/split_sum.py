@@ -116,7 +116,7 @@ class Met:
         """side: texels along a side of the maps."""
         surface = renderer.scene.ray_intersect(mitsuba_rays(origins, outward))
         hit = np.array(surface.is_valid()).astype(np.float32)
-        normal = shading_frames(surface, renderer.mesh)[:, 2]
+        normal = shading_frames(surface, renderer.surface)[:, 2]
         normal = np.where(hit[:, None] > 0, normal, -outward)  # any: such rays are black
         facing = -(normal * outward).sum(1, keepdims=True)
         normal = np.where(facing < 0, -normal, normal)  # both sides of a face are alike

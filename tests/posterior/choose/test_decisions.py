@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from pipeline.base.config import Fit, parse_scene
-from pipeline.base.files import write_json
 from pipeline.geometry.mesh_io import Mesh, load_mesh
 from pipeline.posterior.choose.bounces import ALBEDO, path_vertices
-from pipeline.posterior.choose.chosen import chosen_scene, nothing_chosen
+from pipeline.posterior.choose.chosen import Chosen, chosen_scene, nothing_chosen
 from pipeline.posterior.choose.decide import DECISIONS, choose
 from pipeline.posterior.choose.fit_work import LEAST_PIXELS, LEAST_STEPS, LOOKS, fit_work
 from pipeline.posterior.choose.light_rows import light_rows
@@ -140,7 +139,7 @@ def test_what_the_user_settles_is_kept(own, tmp_path):
     scene = parse_scene({"photos": "x"} | own, "c.yaml")
     result = choose(Unread(), scene)
     assert result["settings"] == {}
-    write_json(tmp_path / "choose.json", result)
+    Chosen(result["settings"]).save(tmp_path)
     assert chosen_scene(scene, tmp_path) == scene
 
 
@@ -154,5 +153,5 @@ def test_nothing_is_chosen_where_the_stage_is_off(tmp_path):
     scene = parse_scene({"photos": "x"}, "c.yaml")
     assert not scene.choose.enabled and set(nothing_chosen()["decisions"]) == set(DECISIONS)
     assert set(DECISIONS) == set(scene.choose.model_dump()) - {"enabled"}
-    write_json(tmp_path / "choose.json", nothing_chosen())
+    Chosen(nothing_chosen()["settings"]).save(tmp_path)
     assert chosen_scene(scene, tmp_path) == scene

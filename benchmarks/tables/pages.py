@@ -1,0 +1,112 @@
+"""Every table by its name, and the pages that they stand on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks import (
+    atlas_tables,
+    ladder_tables,
+    parsimony_tables,
+    surfaces_tables,
+    trust_tables,
+)
+from benchmarks.stability import limits as stability
+from benchmarks.study import pages as study_pages
+from benchmarks.tables import committed, hardening, pairs, priors, real_sets, scenes
+from benchmarks.tables.committed import results, rows_of, source
+from benchmarks.work import tables as work_tables
+from pipeline.base.errors import InputError, nearest
+
+BETWEEN_MARKS = re.compile(r"(<!-- table: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+
+
+def study(make: Callable[[dict], str]) -> Callable[[], str]:
+    """A table of the study on suite XS, from its committed rows."""
+    return lambda: make(results("study_xs")["data"])
+
+
+def stability_cures() -> str:
+    """Points of the suite before and after what was cured."""
+    found = [results(name)["data"] for name in ("stability_before", "stability_after")]
+    return stability.cures(*found) + source("stability_before") + source("stability_after")
+
+
+def stability_table(make: Callable[[dict], str]) -> Callable[[], str]:
+    """A table of the stability suite, from its committed rows."""
+    return lambda: make(results("stability")["data"]) + source("stability")
+
+
+def parsimony(make: Callable[[list[dict]], str]) -> Callable[[], str]:
+    """A table of what the choose stage saves and costs, from its committed rows."""
+    return lambda: make(rows_of("parsimony")) + source("parsimony")
+
+
+def of_surfaces() -> dict[str, Callable[[], str]]:
+    """Tables of meshes and their atlases."""
+    return {
+        "surfaces_choice": lambda: surfaces_tables.choice(results("surfaces")["data"]),
+        "surfaces": lambda: surfaces_tables.table(results("surfaces")["data"]) + source("surfaces"),
+        "atlas": lambda: atlas_tables.table(rows_of("atlas")) + source("atlas"),
+    }
+
+
+def of_study() -> dict[str, Callable[[], str]]:
+    """Tables of the comparative study."""
+    made = study_pages.TABLES
+    small = lambda name: made[name](results("study_s")["data"])
+    return {name: study(make) for name, make in made.items()} | {
+        "study_source": lambda: source("study_xs"),
+        "study_s_scores": lambda: small("study_scores"),
+        "study_s_by_scene": lambda: small("study_by_scene") + source("study_s"),
+    }
+
+
+def of_assets() -> dict[str, Callable[[], str]]:
+    """Tables of what assets are worth, what they cost, and how far they may be relied on."""
+    return {
+        "parsimony": parsimony(parsimony_tables.summary),
+        "parsimony_scenes": parsimony(parsimony_tables.by_scene),
+        "ladder": lambda: ladder_tables.photos(rows_of("ladder")) + source("ladder"),
+        "ladder_truth": lambda: (
+            ladder_tables.truths(rows_of("ladder_truth")) + source("ladder_truth")
+        ),
+        "ladder_worst": lambda: ladder_tables.worst(rows_of("ladder_truth")),
+        "trust_summary": lambda: trust_tables.summary(rows_of("trust")),
+        "trust_wrong": lambda: trust_tables.wrong(rows_of("trust")) + source("trust"),
+        "work_slopes": lambda: work_tables.slopes(results("work")["data"]),
+        "work_figures": lambda: work_tables.figures(results("work")["data"]) + source("work"),
+    }
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    **pairs.TABLES,
+    **scenes.TABLES,
+    **real_sets.TABLES,
+    **priors.TABLES,
+    **hardening.TABLES,
+    **of_study(),
+    **{name: stability_table(make) for name, make in stability.TABLES.items()},
+    "stability_cures": stability_cures,
+    **of_surfaces(),
+    **of_assets(),
+}
+
+
+def pages() -> list[Path]:
+    """Pages that may hold tables."""
+    return [committed.ROOT / "README.md", *sorted((committed.ROOT / "docs").glob("*.md"))]
+
+
+def filled(page: Path) -> str:
+    """The text of a page with every table made anew. InputError for a table that nobody makes."""
+
+    def table(match: re.Match) -> str:
+        start, name, _, end = match.groups()
+        if name not in TABLES:
+            raise InputError(f"there is no table '{name}'", page, nearest(name, TABLES))
+        return f"{start}\n{TABLES[name]()}\n{end}"
+
+    return BETWEEN_MARKS.sub(table, page.read_text(encoding="utf-8"))

@@ -1,0 +1,90 @@
+"""Assets from real photos beside the plain textured mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.markdown import number, pipe_table
+from benchmarks.tables import committed
+from benchmarks.tables.committed import by_scene, nested, source
+
+# Columns of the real sets: heading, keys in a row, digits.
+REAL_SETS: list[tuple[str, tuple[str, ...], int]] = [
+    ("unlit dB", ("unlit_psnr",), 1),
+    ("lit dB", ("lit_psnr",), 1),
+    ("lit over unlit dB", ("gain",), 1),
+    ("charts", ("charts",), 0),
+    ("utilisation", ("utilisation",), 2),
+    ("mesh s", ("mesh_seconds",), 0),
+    ("mesh, processor s", ("cpu_seconds", "mesh"), 0),
+]
+REAL_TRUTH: list[tuple[str, tuple[str, ...], int]] = [
+    ("F-score at 1 %", ("truth", "f1_at_1_percent_of_size"), 3),
+    ("at .5 %", ("truth", "f1_at_half_percent"), 3),
+    ("Chamfer, % of the diagonal", ("truth", "chamfer_percent_of_diagonal"), 3),
+    ("normals: median degrees", ("truth", "normal_error_median_degrees"), 1),
+    ("mean", ("truth", "normal_error_mean_degrees"), 1),
+    ("below 10 degrees", ("truth", "normal_error_below_10_degrees"), 2),
+]
+
+
+def real_set_rows() -> list[tuple[str, str, dict]]:
+    """(set, "before" or "now", row) of every set: rows of the version before real photos were
+    worked on, and of the present one, as far as it has been measured.
+    """
+    found = {"before": by_scene("real_sets_before")}
+    if (committed.RESULTS / "real_sets.json").exists():
+        found["now"] = by_scene("real_sets")
+    scenes = dict.fromkeys(scene for rows in found.values() for scene in rows)
+    return [
+        (scene, when, rows[scene])
+        for scene in scenes
+        for when, rows in found.items()
+        if scene in rows
+    ]
+
+
+def real_set_source() -> str:
+    """The lines below a table of the real sets."""
+    now = source("real_sets") if (committed.RESULTS / "real_sets.json").exists() else ""
+    return source("real_sets_before") + now
+
+
+def real_sets() -> str:
+    """Relightable assets from real photos beside the plain textured mesh."""
+    body = []
+    for scene, when, row in real_set_rows():
+        if "failed" in row:
+            body.append([scene, when, row["failed"]] + [""] * (len(REAL_SETS) + 1))
+            continue
+        cells = [number(nested(row, *keys), digits) for _, keys, digits in REAL_SETS]
+        for key in ("metallic_median", "roughness_median"):
+            cells.append(", ".join(number(sample[key], 2) for sample in row["samples"]))
+        body.append([scene, when, *cells])
+    means = []
+    times = list(dict.fromkeys(when for _, when, _ in real_set_rows()))
+    good = [(scene, when) for scene, when, row in real_set_rows() if "failed" not in row]
+    in_all = {scene for scene, _ in good if all((scene, when) in good for when in times)}
+    for when in times:
+        rows = [row for scene, w, row in real_set_rows() if w == when and scene in in_all]
+        cells = [
+            number(float(np.mean([nested(row, *k) for row in rows])), d)
+            for _, k, d in REAL_SETS[:3]
+        ]
+        means.append([f"mean of {len(rows)}", when, *cells] + [""] * (len(REAL_SETS) - 1))
+    head = ["set", "", *(heading for heading, *_ in REAL_SETS)]
+    head += ["median metallic, a sample each", "median roughness"]
+    return pipe_table(head, body + means) + real_set_source()
+
+
+def real_sets_truth() -> str:
+    """Errors of surfaces and normals of the sets whose truth is known."""
+    body = []
+    for scene, when, row in real_set_rows():
+        if row.get("truth"):
+            cells = [number(nested(row, *keys), digits) for _, keys, digits in REAL_TRUTH]
+            body.append([scene, when, *cells])
+    return pipe_table(["set", "", *(heading for heading, *_ in REAL_TRUTH)], body)
+
+
+TABLES = {make.__name__: make for make in (real_sets, real_sets_truth)}
