@@ -66,7 +66,9 @@ def body_words(body: dict, rungs: list[str]) -> str:
     sure = f"{100 * step['gain']:+.1f} % ± {100 * step['standard_error']:.1f}"
     if taken:
         return f"{words} ({sure} of the error of {rungs[step['from']]})"
-    return f"{words} ({rungs[step['to']]} would save {sure} of the error)"
+    if step["gain"] <= 0:
+        return f"{words} (none predicts better)"
+    return f"{words} ({rungs[step['to']]} would save {sure} of the error: too little to be sure)"
 
 
 def choices(facts: dict[str, dict]) -> list[str]:
