@@ -14,10 +14,13 @@ FILE = "given.json"
 
 @dataclass(frozen=True)
 class MaskFacts:
-    """all_given: whether every mask is the user's own; given: names of the views whose mask is."""
+    """all_given: whether every mask is the user's own; given: names of the views whose mask is;
+    carving: of those whose mask agrees with the others, and so may take volume away.
+    """
 
     all_given: bool
     given: tuple[str, ...]
+    carving: tuple[str, ...]
 
     def save(self, folder: Path) -> None:
         """Write given.json into the folder of the masks stage."""
@@ -29,4 +32,8 @@ class MaskFacts:
         or incomplete.
         """
         file = folder / FILE
-        return cls(bool(json_entry(file, "all_given")), tuple(json_entry(file, "given")))
+        return cls(
+            bool(json_entry(file, "all_given")),
+            tuple(json_entry(file, "given")),
+            tuple(json_entry(file, "carving")),
+        )

@@ -189,7 +189,8 @@ def make_masks(poses: Path, out: Path, settings: Masks, threads: int) -> dict:
     (out / "masks").mkdir()
     for v in rig.views:
         write_png(out / "masks" / f"{v.name}.png", masks[v.name] * np.uint8(255))
-    MaskFacts(method == "given", tuple(facts.get("given", []))).save(out)
+    carving = tuple(name for name, c in confidence.items() if c["carve"])
+    MaskFacts(method == "given", tuple(facts.get("given", [])), carving).save(out)
     write_json(out / "confidence.json", confidence)
     write_png(out / "overlay.jpg", overlay(poses, rig, masks))
 

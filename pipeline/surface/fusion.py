@@ -7,7 +7,7 @@ in marching cubes, always closed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,12 +60,12 @@ class Silhouettes:
         return hull_of(grid, self.carving, masks, TRUNCATION * grid.cell, tolerance)
 
 
-def silhouettes_of(rig: Rig, masks: dict, confidence: dict, given: bool) -> Silhouettes:
-    """What the masks say; given: all of them are the user's own. Raises InputError where they have
-    no volume in common or too few agree.
+def silhouettes_of(rig: Rig, masks: dict, carve: Container[str], given: bool) -> Silhouettes:
+    """What the masks say; carve: names of the views that may take volume away; given: all masks
+    are the user's own. Raises InputError where they have no volume in common or too few agree.
     """
     points, margin = coarse_hull(rig, masks)
-    carving = [v for v in rig.views if confidence[v.name]["carve"]]
+    carving = [v for v in rig.views if v.name in carve]
     if len(carving) < 3:
         raise InputError(
             "fewer than 3 masks agree with each other",

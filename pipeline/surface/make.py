@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.config import Mesh as MeshSettings
-from pipeline.base.files import read_json
 from pipeline.base.images import luminance, perceived, read_exr, read_png, write_png
 from pipeline.geometry.cameras import Rig, load_cameras
 from pipeline.geometry.mesh_io import Mesh, normal_wobble, save_mesh
@@ -34,14 +33,12 @@ def grey_photos(rig: Rig, poses: Path) -> list[np.ndarray]:
 
 
 def reconstructed(
-    rig: Rig, poses: Path, masks_folder: Path, settings: MeshSettings, given: bool, threads: int
+    rig: Rig, poses: Path, masks_folder: Path, settings: MeshSettings, threads: int
 ) -> tuple[Mesh, dict]:
-    """The surface from masks and photos before decimation, and facts about how it was made.
-
-    given: the masks are the user's own.
-    """
+    """The surface from masks and photos before decimation, and facts about how it was made."""
+    known = MaskFacts.load(masks_folder)
     masks = {v.name: read_png(masks_folder / "masks" / f"{v.name}.png") > 127 for v in rig.views}
-    seen = silhouettes_of(rig, masks, read_json(masks_folder / "confidence.json"), given)
+    seen = silhouettes_of(rig, masks, known.carving, known.all_given)
     images = grey_photos(rig, poses)
     field, grid, how = build_field(seen, images, settings, threads)
     dense = to_mesh(field, grid)
@@ -72,8 +69,7 @@ def make_mesh(
             "normal_error": 0.0,
         } | facts(mesh)
     else:
-        given = MaskFacts.load(masks_folder).all_given
-        dense, how = reconstructed(rig.training(), poses, masks_folder, settings, given, threads)
+        dense, how = reconstructed(rig.training(), poses, masks_folder, settings, threads)
         save_mesh(out / DENSE, dense)
         mesh, more = simplify(dense, settings.faces)
         metrics = how | more | {"normal_error": normal_wobble(mesh)}

@@ -5,6 +5,7 @@ from pipeline.base.config import Masks
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, read_png, write_png
 from pipeline.geometry.cameras import save_cameras
+from pipeline.masks.facts import MaskFacts
 from pipeline.masks.make import make_masks, said_of_things
 from pipeline.photos.ground_plane import NoGround
 from pipeline.photos.radiance import level_of, white_of
@@ -114,6 +115,20 @@ def test_given_masks_win_and_missing_ones_are_named(table, tmp_path):
     (folder / "masks" / f"{rig.views[2].name}.png").unlink()
     with pytest.raises(InputError, match=rig.views[2].name):
         make_masks(folder, tmp_path, Masks(method="given"), 2)
+
+
+def test_the_next_stage_learns_which_masks_carve(table, tmp_path):
+    """From given.json alone: confidence.json is for people."""
+    folder, _, truth = table
+    spoilt = "p3"
+    for name, mask in truth.items():
+        half = mask & (np.arange(mask.shape[1]) > mask.shape[1] / 2)
+        write_png(
+            folder / "masks" / f"{name}.png", (half if name == spoilt else mask) * np.uint8(255)
+        )
+    made(folder, tmp_path / "out")
+    known = MaskFacts.load(tmp_path / "out")
+    assert known.all_given and set(known.carving) == set(truth) - {spoilt}
 
 
 def test_without_a_ground_plane_the_cure_is_told(table, tmp_path):

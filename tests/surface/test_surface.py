@@ -59,10 +59,9 @@ def test_one_bad_mask_neither_carves_nor_goes_unnoticed(sphere):
 def test_given_masks_say_where_the_object_ends_and_not_a_plane_through_it(sphere):
     rig, masks = sphere
     rig.facts["plane"] = {"offset": 0.1}
-    sure = {name: {"carve": True} for name in masks}
-    assert silhouettes_of(rig, masks, sure, given=False).ground == 0.1
-    assert silhouettes_of(rig, masks, sure, given=True).ground is None
-    assert silhouettes_of(rig, masks, sure, given=True).grid(32).low[1] < -0.5
+    assert silhouettes_of(rig, masks, set(masks), given=False).ground == 0.1
+    assert silhouettes_of(rig, masks, set(masks), given=True).ground is None
+    assert silhouettes_of(rig, masks, set(masks), given=True).grid(32).low[1] < -0.5
 
 
 def test_masks_without_common_volume_are_named(sphere):
