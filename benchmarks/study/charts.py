@@ -23,6 +23,7 @@ from benchmarks.study.front import (
 )
 from benchmarks.study.methods import LENGTHS
 from benchmarks.study.tables import scenes_in
+from benchmarks.study.yardstick_tables import means
 from pipeline.base.errors import run_stage
 from pipeline.base.files import read_json
 
@@ -91,8 +92,15 @@ def join_lengths(axes: Axes, points: list[Point]) -> None:
         axes.plot(seconds, values, "-", lw=1, alpha=0.5, color=color, zorder=1)
 
 
-def draw(points: list[Point], higher: bool, label: str, title: str, out: Path) -> None:
-    """`out`.svg and `out`.png."""
+def draw(
+    points: list[Point],
+    higher: bool,
+    label: str,
+    title: str,
+    out: Path,
+    yardsticks: dict[str, float] | None = None,
+) -> None:
+    """`out`.svg and `out`.png; a line across at the value of each of `yardsticks`."""
     with matplotlib.rc_context(STYLE):
         figure, axes = pyplot.subplots(figsize=(7, 4.2), layout="constrained")
         best = front(points, higher)
@@ -114,6 +122,11 @@ def draw(points: list[Point], higher: bool, label: str, title: str, out: Path) -
         where = {"xytext": (-4, 4), "textcoords": "offset points", "rotation": 90, "ha": "right"}
         at = (PAPER_SECONDS, axes.get_ylim()[0])
         axes.annotate("the paper's time, on an A100", at, fontsize=7, va="bottom", **where)
+        for name, value in (yardsticks or {}).items():
+            axes.axhline(value, color=COLORS["front"], lw=0.8, ls="-.", zorder=0)
+            where = {"xytext": (4, -3), "textcoords": "offset points", "va": "top"}
+            least = min(point.seconds for point in points)
+            axes.annotate(f"yardstick {name}", (least, value), fontsize=7, **where)
         axes.margins(0.08, 0.12)
         axes.set_xscale("log")
         name_points(axes, points)
@@ -124,8 +137,8 @@ def draw(points: list[Point], higher: bool, label: str, title: str, out: Path) -
         saved(figure, out, dpi=130)
 
 
-def charts(data: dict, out: Path, suite: str) -> None:
-    """Both charts of a study under `out`."""
+def charts(data: dict, out: Path, suite: str, yardsticks: list[dict] | None = None) -> None:
+    """Both charts of a study under `out`; yardsticks: rows of `benchmarks.study.yardsticks`."""
     count = len(scenes_in(data))
     title = (
         f"suite {suite}, {count} scenes; dashed: nothing is both faster and better;\n"
@@ -133,7 +146,8 @@ def charts(data: dict, out: Path, suite: str) -> None:
     )
     file = lambda name: out / f"study_{suite.lower()}_{name}"
     label = "relight PSNR, dB (bars: 95 % of the difference from ours)"
-    draw(relight_points(data), True, label, title, file("relight"))
+    across = means(data, yardsticks) if yardsticks else None
+    draw(relight_points(data), True, label, title, file("relight"), across)
     label = "error of the 80 % intervals' coverage"
     draw(coverage_points(data), False, label, title, file("coverage"))
 
@@ -143,12 +157,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rows", type=Path, required=True)
+    parser.add_argument("--yardsticks", type=Path, help="rows of benchmarks.study.yardsticks")
     parser.add_argument("--suite", default="XS")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
-    found = read_json(args.rows)
-    data = found.get("data", found)
-    charts(data, args.out, args.suite)
+    written = lambda file: (found := read_json(file)).get("data", found)
+    data = written(args.rows)
+    across = written(args.yardsticks)["rows"] if args.yardsticks else None
+    charts(data, args.out, args.suite, across)
     print(relight_choice(data))
     print(coverage_choice(data))
 

@@ -15,6 +15,7 @@ from benchmarks import (
 )
 from benchmarks.stability import limits as stability
 from benchmarks.study import pages as study_pages
+from benchmarks.study import yardstick_tables
 from benchmarks.tables import committed, hardening, pairs, priors, real_sets, scenes
 from benchmarks.tables.committed import results, rows_of, source
 from benchmarks.work import tables as work_tables
@@ -57,8 +58,13 @@ def of_study() -> dict[str, Callable[[], str]]:
     """Tables of the comparative study."""
     made = study_pages.TABLES
     small = lambda name: made[name](results("study_s")["data"])
+    beside = lambda: (results("study_xs")["data"], rows_of("study_xs_yardsticks"))
     return {name: study(make) for name, make in made.items()} | {
         "study_source": lambda: source("study_xs"),
+        "study_yardsticks": lambda: (
+            yardstick_tables.table(*beside()) + source("study_xs_yardsticks")
+        ),
+        "study_yardsticks_ahead": lambda: yardstick_tables.losers(*beside()),
         "study_s_scores": lambda: small("study_scores"),
         "study_s_by_scene": lambda: small("study_by_scene") + source("study_s"),
     }
