@@ -106,7 +106,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="JSON file for all rows")
     args = parser.parse_args()
     rows = []
-    for folder in progress(sorted(args.scenes.resolve().iterdir()), "yardsticks"):
+    # beside the scenes lie the assets and lights that they were made of
+    folders = sorted(file.parent for file in args.scenes.resolve().glob("*/transforms_test.json"))
+    for folder in progress(folders, "yardsticks"):
         prepare(folder)
         rows += rows_of_scene(ROOT / "work" / folder.name, load_truth(folder))
     write_json(args.out, {"machine": machine(), "rows": rows})

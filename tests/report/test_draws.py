@@ -13,7 +13,7 @@ from tests.render.test_renderer import explanation
 from tests.report import test_report
 from tests.seeds import seeded
 
-COUNT = 6
+COUNT = 5
 
 work = test_report.work  # the fixture: folders of a whole run
 
