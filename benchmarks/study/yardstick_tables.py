@@ -7,6 +7,7 @@ import numpy as np
 from benchmarks.markdown import number, pipe_table
 from benchmarks.study.tables import methods_in, scene_mean, scenes_in
 from benchmarks.study.yardsticks import YARDSTICKS
+from benchmarks.tables.committed import title
 
 COLUMNS = (
     ("relight PSNR, dB", "relight_psnr"),
@@ -29,15 +30,14 @@ def means(data: dict, rows: list[dict], key: str = "relight_psnr") -> dict[str, 
     }
 
 
-def beaten_by(data: dict, rows: list[dict], name: str) -> list[str]:
-    """Methods, with their scenes, that relight worse than a yardstick."""
-    return [
-        f"`{method}` on {scene.replace('__', ', ')}"
-        for method in methods_in(data)
-        for scene in scenes_in(data)
-        if (mine := scene_mean(data, scene, method, "relight_psnr")) is not None
-        and mine < value(rows, scene, name, "relight_psnr")
-    ]
+def beaten_by(data: dict, rows: list[dict], name: str) -> dict[str, list[str]]:
+    """Methods that relight worse than a yardstick, by scene."""
+    behind = {}
+    for scene in scenes_in(data):
+        least = value(rows, scene, name, "relight_psnr")
+        found = [(m, scene_mean(data, scene, m, "relight_psnr")) for m in methods_in(data)]
+        behind[scene] = [method for method, mine in found if mine is not None and mine < least]
+    return behind
 
 
 def table(data: dict, rows: list[dict]) -> str:
@@ -45,7 +45,7 @@ def table(data: dict, rows: list[dict]) -> str:
     columns = [means(data, rows, key) for _, key in COLUMNS]
     body = []
     for name in YARDSTICKS:
-        beaten = len(beaten_by(data, rows, name))
+        beaten = sum(map(len, beaten_by(data, rows, name).values()))
         body.append([f"`{name}`", *(number(column[name], 1) for column in columns), str(beaten)])
     heads = [head for head, _ in COLUMNS]
     return pipe_table(["yardstick", *heads, "methods and scenes behind it"], body)
@@ -55,6 +55,10 @@ def losers(data: dict, rows: list[dict]) -> str:
     """Who relights worse than a yardstick, in one sentence for each."""
     said = []
     for name in YARDSTICKS:
-        found = beaten_by(data, rows, name)
-        said.append(f"Behind `{name}`: {', '.join(found) if found else 'none'}.")
+        found = [
+            f"on {title(scene)} {', '.join(f'`{method}`' for method in methods)}"
+            for scene, methods in beaten_by(data, rows, name).items()
+            if methods
+        ]
+        said.append(f"Behind `{name}`: {'; '.join(found) if found else 'none'}.")
     return "\n\n".join(said) + "\n"

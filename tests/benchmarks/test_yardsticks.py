@@ -77,6 +77,6 @@ def test_tables_name_who_is_behind():
     rows = [of(("yardstick", name), db) for name, db in zip(names, (14.0, 16.0, 21.0))]
     said = losers(data, rows)
     assert "Behind `unlit`: none." in said
-    assert "Behind `unlit_scaled`: `map` on a." in said
-    assert "Behind `diffuse`: `split_gibbs_draft` on a, `map` on a." in said
+    assert "Behind `unlit_scaled`: on a `map`." in said
+    assert "Behind `diffuse`: on a `split_gibbs_draft`, `map`." in said
     assert "| `diffuse` | 21.0 | 21.0 | 21.0 | 2 |" in table(data, rows)
