@@ -9,21 +9,18 @@ The surface begins as one dielectric of one number and climbs. Rungs, simplest f
     one metal         metal all over the body, of its median roughness
     as drawn          both maps
 
-Some photos are left out of the base colours. On every rung all bodies stand at once, with base
-colours of their own from the other photos, and are judged by blocks of pixels of the photos left
-out, by the error e of a score (render/metrics.py: squared, as sRGB values):
+Some photos are left out of the base colours (left_out.py). On every rung all bodies stand at once,
+with base colours of their own from the other photos, and are judged by blocks of pixels of the
+photos left out, by the error e of a score (render/metrics.py: squared, as sRGB values):
 
     gain = sum over blocks b of g_b,    g_b = sum over pixels of b of e_simple - e_rich
 
-Errors of neighbouring pixels go together, so blocks count as independent, not pixels: the gain's
-standard error is sqrt(B) times the standard deviation of the g_b over B blocks. The surface as a
-whole climbs to a rung that gains more than CLEAR standard errors over the one it stands on; of the
-first two, which are one number each, it begins on the one that predicts better. Then every body
-leaves the surface's rung, up or down, only for one that gains as clearly on its own pixels:
-materials grow from one.
-
-Whole photos are left out, not blocks of pixels alone: a base colour that a photo's own pixels make
-holds its highlights as paint, and would hide what a metal explains.
+The gain's standard error is sqrt(B) times the standard deviation of the g_b over B blocks. The
+surface as a whole climbs to a rung whose gain over the one it stands on would be chance CHANCE of
+the time, which is two standard errors where blocks are many; of the first two, which are one number
+each, it begins on the one that predicts better. Then every body leaves the surface's rung, up or
+down, only for one that gains as clearly on its own pixels, the number of rungs that it tries
+allowed for: materials grow from one.
 
 A body is what has one colour after the shading is divided out (split_gibbs/regions.py), so that the
 border of a material follows the stuff and not the light. e is the product of two pictures' errors
@@ -33,30 +30,18 @@ materials.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.posterior.left_out import Fold, gain, squared_error, surely, with_pixels
 from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.split_gibbs.regions import group, texel_regions
 from pipeline.posterior.textures import gather
-from pipeline.render.metrics import crossed_error
-from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation
 
-LEFT_OUT = 0.2  # share of the photos
-MOST_LEFT_OUT = 8  # photos
-BLOCKS = 24  # along the long side of a photo
-FINEST = 4  # pixels along a side of a block, at least
-FEWEST = 10  # blocks, below which a standard error over them says nothing
-FEWEST_PHOTOS = 4
-SOLVED = 200_000  # pixels of the other photos, at most, that a rung's base colour is made from
-JUDGED = 8_000  # pixels of the blocks at most
-PATHS = 16  # through each, for either of two pictures
-CLEAR = 2.0  # standard errors
-LEAST = 1e-9  # error of all pixels together
+CHANCE = 0.023  # of a step that is none: two standard errors of a normal
 EQUALLY_SIMPLE = 2  # rungs, the first ones
 GROUPED = 20_000  # pixels whose colours are grouped into bodies
 SAME_COLOR = 0.95  # share of the colours' spread that bodies explain: one too many does no harm
@@ -64,18 +49,6 @@ METAL = 0.5  # metallic from which on a texel is of metal
 
 # an explanation, with the base colour that the observations of a problem show under its gloss
 SolveColor = Callable[[Problem, Explanation], Explanation]
-
-
-@dataclass(frozen=True)
-class Split:
-    """Observed pixels by their numbers: `kept` (k,) make the base colours, `judged` (n,) judge, and
-    `block` (n,) says of which block each of these is; photos: how many are left out.
-    """
-
-    kept: np.ndarray
-    judged: np.ndarray
-    block: np.ndarray
-    photos: int
 
 
 @dataclass(frozen=True)
@@ -88,75 +61,6 @@ class Rung:
 
     def put_on(self, x: Explanation) -> Explanation:
         return replace(x, roughness=self.roughness, metallic=self.metallic)
-
-
-def split(observations: Observations, rng: np.random.Generator) -> Split | None:
-    """LEFT_OUT of the photos, at random. None where there are fewer than FEWEST_PHOTOS, or they
-    have fewer than FEWEST blocks.
-    """
-    photos = np.unique(observations.view)
-    if len(photos) < FEWEST_PHOTOS:
-        return None
-    count = min(max(1, round(LEFT_OUT * len(photos))), MOST_LEFT_OUT)
-    asked = rng.choice(photos, count, replace=False)
-    out = np.isin(observations.view, asked)
-
-    long_side = max(max(view.width, view.height) for view in observations.views)
-    side = max(FINEST, -(-long_side // BLOCKS))
-    column, row = observations.pixel.T.astype(int) // side
-    name = (observations.view * (row.max() + 1) + row) * (column.max() + 1) + column
-    number = np.unique(name, return_inverse=True)[1]
-    if len(np.unique(number[out])) < FEWEST:
-        return None
-
-    some = lambda pixels, most: np.sort(rng.choice(pixels, min(most, len(pixels)), replace=False))
-    judged = some(np.flatnonzero(out), JUDGED)
-    kept = some(np.flatnonzero(~out), SOLVED)
-    return Split(kept, judged, number[judged], count)
-
-
-def with_pixels(problem: Problem, index: np.ndarray) -> Problem:
-    """The problem with the observed pixels `index` only; the renderer is shared."""
-    some = copy.copy(problem.observations)
-    for name in ("view", "pixel", "rgb", "clipped", "uv", "cosine"):
-        setattr(some, name, getattr(some, name)[index])
-    return Problem(some, problem.renderer, problem.roughness_min, problem.normal_error)
-
-
-def squared_error(
-    problem: Problem, explanation: Explanation, index: np.ndarray, seed: int
-) -> np.ndarray:
-    """Squared error of sRGB values, mean over the channels and without the paths' noise, of the
-    pixels `index`: (n,). The same seed takes the same rays and paths.
-    """
-    observations = problem.observations
-    rng = np.random.default_rng(seed)
-    problem.renderer.set(explanation)
-    pictures = [
-        np.mean(
-            [
-                problem.renderer.radiance(*observations.rays(index, rng), renderer_seed(rng))
-                for _ in range(PATHS)
-            ],
-            axis=0,
-        )
-        for _ in range(2)
-    ]
-    return crossed_error(pictures[0], observations.rgb[index], pictures[1]).mean(1)
-
-
-def gain(simple: np.ndarray, rich: np.ndarray, block: np.ndarray) -> tuple[float, float]:
-    """By what share of its error `simple` is worse than `rich`, and the standard error of that
-    share, from squared errors (n,) of pixels in blocks (n,). Fewer than FEWEST blocks say nothing:
-    0, 0.
-    """
-    blocks, number = np.unique(block, return_inverse=True)
-    if len(blocks) < FEWEST:
-        return 0.0, 0.0
-    of_block = np.bincount(number, simple - rich)
-    whole = max(float(simple.sum()), LEAST)
-    spread = float(of_block.std(ddof=1))
-    return float(of_block.sum()) / whole, float(np.sqrt(len(blocks))) * spread / whole
 
 
 def bodies(color: np.ndarray, uv: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -204,22 +108,27 @@ def climbed(errors: list[np.ndarray], block: np.ndarray) -> tuple[int, list[dict
     errors (n,) of its pixels on every rung.
     """
     stands, tried = 0, []
+    clear = surely(CHANCE, block)
     for higher in range(1, len(errors)):
         step = tried_step(errors, block, stands, higher)
         tried.append(step)
-        clear = 0 if higher < EQUALLY_SIMPLE else CLEAR * step["standard_error"]
-        if step["gain"] > clear:
+        needed = 0 if higher < EQUALLY_SIMPLE else clear * step["standard_error"]
+        if step["gain"] > needed:
             stands = higher
     return stands, tried
 
 
 def of_a_body(errors: list[np.ndarray], block: np.ndarray, stands: int) -> tuple[int, list[dict]]:
-    """As `climbed`, for a body that begins on the surface's rung `stands`."""
+    """As `climbed`, for a body that begins on the surface's rung `stands`. It leaves by CHANCE as
+    often as if it tried one other rung only.
+    """
     tried = []
-    for other in [k for k in range(len(errors)) if k != stands]:
+    others = [k for k in range(len(errors)) if k != stands]
+    clear = surely(CHANCE / len(others), block)
+    for other in others:
         step = tried_step(errors, block, stands, other)
         tried.append(step)
-        if step["gain"] > CLEAR * step["standard_error"]:
+        if step["gain"] > clear * step["standard_error"]:
             stands = other
     return stands, tried
 
@@ -230,36 +139,46 @@ def tried_step(errors: list[np.ndarray], block: np.ndarray, at: int, to: int) ->
     return {"from": at, "to": to, "gain": share, "standard_error": error}
 
 
+def judged_errors(
+    problem: Problem, x: Explanation, parts: list[Fold], solve: SolveColor, seed: int
+) -> tuple[np.ndarray, Explanation]:
+    """Squared errors (n,) of the judged pixels of all folds, each under base colours from its
+    other photos; and the first fold's explanation, which begins as `x`.
+    """
+    solved = [solve(with_pixels(problem, fold.kept), x) for fold in parts]
+    errors = [squared_error(problem, y, fold.judged, seed) for fold, y in zip(parts, solved)]
+    return np.concatenate(errors), solved[0]
+
+
 def climb(
     problem: Problem,
     x: Explanation,
-    parts: Split,
+    parts: list[Fold],
     solve: SolveColor,
     rng: np.random.Generator,
 ) -> tuple[Explanation, np.ndarray, dict]:
     """The explanation with every body on its rung; which texels (t, t) keep the roughness map; and
     the evidence. The base colour is that of the lowest rung and has to be solved anew.
     """
-    kept = with_pixels(problem, parts.kept)
     seed = renderer_seed(rng)
-    uv = kept.observations.uv
-    matt = solve(kept, rungs(x, np.zeros(x.roughness.shape, int), uv)[0].put_on(x))
+    uv = problem.observations.uv[parts[0].kept]
+    matt = rungs(x, np.zeros(x.roughness.shape, int), uv)[0].put_on(x)
+    of_matt, matt = judged_errors(problem, matt, parts, solve, seed)
     body = bodies(matt.base_color, uv, rng)
     found = rungs(x, body, uv)
+    higher = [judged_errors(problem, r.put_on(matt), parts, solve, seed)[0] for r in found[1:]]
+    errors = [of_matt, *higher]
 
-    errors = [squared_error(problem, matt, parts.judged, seed)]
-    for rung in found[1:]:
-        solved = solve(kept, rung.put_on(matt))
-        errors.append(squared_error(problem, solved, parts.judged, seed))
-
-    at_judged = gather(body.astype(np.float32), problem.observations.uv[parts.judged])[:, 0]
+    block = np.concatenate([fold.block for fold in parts])
+    judged = np.concatenate([fold.judged for fold in parts])
+    at_judged = gather(body.astype(np.float32), problem.observations.uv[judged])[:, 0]
     roughness, metallic = np.empty_like(x.roughness), np.empty_like(x.metallic)
     keeps_map = np.zeros(body.shape, bool)
     facts = []
-    surface, of_surface = climbed(errors, parts.block)
+    surface, of_surface = climbed(errors, block)
     for b in range(int(body.max()) + 1):
         mine = at_judged.round() == b
-        stands, tried = of_a_body([e[mine] for e in errors], parts.block[mine], surface)
+        stands, tried = of_a_body([e[mine] for e in errors], block[mine], surface)
         rung, here = found[stands], body == b
         roughness[here], metallic[here] = rung.roughness[here], rung.metallic[here]
         keeps_map[here] = rung.name in ("gloss map", "as drawn")
@@ -270,9 +189,10 @@ def climb(
         chosen,
         keeps_map,
         {
-            "photos_left_out": parts.photos,
-            "blocks": len(np.unique(parts.block)),
-            "judged_pixels": len(parts.judged),
+            "photos_left_out": sum(fold.photos for fold in parts),
+            "folds": len(parts),
+            "blocks": len(np.unique(block)),
+            "judged_pixels": len(judged),
             "rungs": [rung.name for rung in found],
             "surface": {"chosen": found[surface].name, "tried": of_surface},
             "bodies": facts,

@@ -29,7 +29,8 @@ from pipeline.posterior.base_color import (
     color_map,
     shared_between_photos,
 )
-from pipeline.posterior.ladder import climb, split, with_pixels
+from pipeline.posterior.ladder import climb
+from pipeline.posterior.left_out import folds, with_pixels
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import Shading, shade
@@ -206,8 +207,8 @@ def judged_gloss(
     everywhere = np.ones(explanation.roughness.shape, bool)
     if settings.gloss == "maps":
         return explanation, everywhere, {}
-    parts = split(problem.observations, rng)
-    if parts is None:
+    parts = folds(problem.observations, rng)
+    if not parts:
         why = "maps stay: too few photos to judge them by"
         return explanation, everywhere, {"gloss": {"why": why}}
 

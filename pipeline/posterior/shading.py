@@ -76,14 +76,13 @@ def split_picture(
     random numbers.
     """
     half = replace(explanation, base_color=0.5 * explanation.base_color)
-    rays = [problem.observations.rays(index, rng) for _ in range(paths)]
-    seeds = [renderer_seed(rng) for _ in range(paths)]
+    rays = lambda of: problem.observations.rays(index, of)
+    seed = renderer_seed(rng)
 
     pictures = []
     for maps in (explanation, half):
         problem.renderer.set(maps)
-        traced = [problem.renderer.radiance(*ray, seed) for ray, seed in zip(rays, seeds)]
-        pictures.append(np.mean(traced, axis=0))
+        pictures.append(problem.renderer.mean_radiance(rays, paths, seed))
 
     whole, with_half = pictures
     scaled = 2 * (whole - with_half)

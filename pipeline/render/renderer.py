@@ -239,18 +239,27 @@ class Renderer:
         self, rays: JitteredRays, spp: int, seed: int, chunk: int = 1 << 19
     ) -> np.ndarray:
         """Average of `spp` paths per pixel, (n, 3). `rays(rng)` gives freshly jittered origins and
-        directions (n, 3). The scene is what `set` was last given.
+        directions (n, 3). The scene is what `set` was last given. About `chunk` rays are traced at
+        a time, of several paths per pixel where there are few pixels: a launch has a price.
         """
         rng = np.random.default_rng(seed)
-        total = np.zeros((1, 3), np.float32)
+        total: np.ndarray | float = 0.0
+        waiting: list[tuple[np.ndarray, np.ndarray]] = []
         for k in range(spp):
-            origins, directions = rays(rng)
+            waiting.append(rays(rng))
+            pixels = len(waiting[0][0])
+            if k + 1 < spp and (len(waiting) + 1) * pixels <= chunk:
+                continue
+            origins, directions = (np.concatenate(parts) for parts in zip(*waiting))
             parts = [
-                self.radiance(origins[i : i + chunk], directions[i : i + chunk], seed * 4099 + k)
+                self.radiance(
+                    origins[i : i + chunk], directions[i : i + chunk], int(rng.integers(1 << 31))
+                )
                 for i in range(0, len(origins), chunk)
             ]
-            total = total + np.concatenate(parts)
-        return total / spp
+            total = total + np.concatenate(parts).reshape(len(waiting), pixels, 3).sum(0)
+            waiting = []
+        return np.asarray(total / spp, np.float32)
 
     def gradient(
         self,
