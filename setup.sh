@@ -72,8 +72,13 @@ copy() {
     cp -al "$1" "$2" 2>/dev/null || { rm -rf "$2" && cp -a "$1" "$2"; }
 }
 
-keep() {
+# alone COMMAND: runs it while no other checkout touches the kept packages
+alone() {
     mkdir -p "$(dirname "$kept")"
+    (flock 9 && "$@") 9>"$kept.lock"
+}
+
+keep() {
     rm -rf "$kept.new"
     copy .venv "$kept.new"
     rm -rf "$kept"
@@ -93,8 +98,8 @@ start_from_kept() {
     [ -x "$kept/bin/python" ] && [ "$(version_of "$kept/bin/python")" = "$(version_of "$PYTHON")" ] ||
         return 1
     echo "starting from the packages in $kept"
-    copy "$kept" .venv || fail "the packages in $kept could not be copied; is the disk full?"
-    "$PYTHON" - .venv <<'END' || fail "the scripts of .venv could not be written"
+    alone copy "$kept" .venv || fail "the packages in $kept could not be copied; is the disk full?"
+    "$PYTHON" - .venv <<'END' || { rm -rf .venv; fail "the packages in $kept are not whole; delete that folder"; }
 import re, sys
 from pathlib import Path
 
@@ -129,7 +134,7 @@ command -v "$PYTHON" >/dev/null || fail "there is no '$PYTHON'; set PYTHON to a 
     fail "Heliograph needs Python 3.11 or newer, this is $("$PYTHON" --version); set PYTHON to another"
 
 if is_done requirements.lock "$lock_done" && is_done pyproject.toml "$project_done"; then
-    [ -z "${1:-}" ] || keep
+    [ -z "${1:-}" ] || alone keep
     exit 0
 fi
 
@@ -145,4 +150,4 @@ pip --no-build-isolation --editable . || fail "pip could not install this folder
 note pyproject.toml "$project_done"
 
 .venv/bin/heliograph doctor
-[ -z "${1:-}" ] || keep
+[ -z "${1:-}" ] || alone keep

@@ -192,6 +192,18 @@ def test_setup_says_plainly_what_is_wrong(checkout):
     assert run().returncode == 0
 
 
+def test_setup_takes_no_kept_packages_that_are_not_whole(checkout):
+    """As one that was cut off while it kept them leaves them: nothing is left that the next run
+    would take for installed.
+    """
+    folder, run = checkout
+    run("--keep")
+    shutil.rmtree(folder / ".venv")
+    failed = run()  # without pyvenv.cfg
+    assert failed.returncode == 1 and "are not whole; delete that folder" in failed.stderr
+    assert not (folder / ".venv").exists()
+
+
 def test_setup_starts_from_kept_packages(checkout, tmp_path_factory):
     folder, run = checkout
     assert "packages kept in" in run("--keep").stdout

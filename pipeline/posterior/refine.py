@@ -215,6 +215,8 @@ def judged_gloss(
     few = settings.shading_pixels // FEWEST
     solve = lambda of, x: solve_base_color(of, x, few, rng, USUAL)[0]
     found, maps, facts = climb(problem, explanation, parts, solve, rng)
+    if maps.any():  # they are moved from colours of their own, not from those of a matt surface
+        found = solve(problem, found)
     return found, maps, {"gloss": facts}
 
 
