@@ -216,8 +216,8 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         row = {"seconds": time.perf_counter() - began}
         set_threads(2)
         with Bar(f"refine {seed}", units(settings)) as bar:
-            held = SAMPLERS[method].scale_drawn
-            final, _ = refine(full, small, drawn, settings, seed, bar, held)
+            scale_drawn = SAMPLERS[method].scale_drawn
+            final, _ = refine(full, small, drawn, settings, seed, bar, scale_drawn)
         pictures.append(
             [render_twice(full.renderer, final, view, mask, HELD_OUT_SPP) for view, _, mask in held]
         )
