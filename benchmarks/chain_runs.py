@@ -40,6 +40,24 @@ def run_chain(project: Path, scene: str, settings: dict, targets: list[str]) -> 
     return spent(after) - spent(before)
 
 
+def stage_metrics(work: Path) -> dict[str, list[dict]]:
+    """What the stages of a finished scene wrote about themselves, by stage."""
+    found: dict[str, list[dict]] = {}
+    for file in sorted([*work.glob("*.json"), *work.glob("*/*.json"), *work.glob("*/*/*.json")]):
+        stage = file.stem
+        if stage not in ("export", "report") and stage not in file.parts[:-1]:
+            continue
+        facts = read_json(file)
+        if "peak_gib" in facts:
+            found.setdefault(stage, []).append(facts)
+    return found
+
+
+def peak_gib(metrics: dict[str, list[dict]]) -> dict[str, float]:
+    """Peak memory of each stage of `stage_metrics`, in GiB: of several samples the largest."""
+    return {stage: max(facts["peak_gib"] for facts in many) for stage, many in metrics.items()}
+
+
 def rows_at_hand(files: list[Path], folder: Path) -> dict:
     """What --gather writes: the machine and the rows of those files that are there. Raises
     InputError where there is none in `folder`.

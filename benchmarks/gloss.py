@@ -42,7 +42,7 @@ LIGHTS = ("vestibule", "kernerenv")
 RELIGHT = "barce_rooftop_c"
 OPTIONS = Options(size=200, spp=32, views=24, test=3)
 TEXTURE = 64  # pixels along a side of a constant map
-STAGES = ("observe", "poses", "atlas", "mesh", "fit")
+STAGES = ("capture", "poses", "mesh", "atlas", "observe", "fit")
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from pipeline.posterior.textures import gather
 from pipeline.render.metrics import held_out_photos, score_held_out
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.report.score import MAX_DEPTH, score_explanation
-from pipeline.report.truth import Truth, load_truth
+from pipeline.report.truth import Truth, truth_of_work
 
 VARIANTS = ("maps", "tested")
 SPP = 64  # paths per pixel of pictures that are scored against the truth
@@ -95,8 +95,9 @@ def main() -> None:
         if any(row["set"] == name for row in rows):
             continue
         scene = parse_scene({"photos": name, "preset": args.preset}, args.out)
-        truth = load_truth(args.truth / name) if args.truth else None
-        made = rows_of(args.finished / name, scene, truth)
+        work = args.finished / name
+        truth = truth_of_work(args.truth / name, work) if args.truth else None
+        made = rows_of(work, scene, truth)
         rows += [row | {"preset": args.preset} for row in made]
         write_json(args.out, {"machine": machine(), "rows": rows})
 

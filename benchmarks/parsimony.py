@@ -44,7 +44,7 @@ from pipeline.base.runtime import set_threads
 from pipeline.posterior.choose.chosen import chosen_scene
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.report.score import MAX_DEPTH, score_explanation
-from pipeline.report.truth import load_truth
+from pipeline.report.truth import truth_of_work
 from pipeline.usd.textures import constant_of
 
 VARIANTS = {"fixed": False, "chosen": True}
@@ -116,7 +116,7 @@ def true_scores(job: Job, here: Path) -> dict:
     """Scores of sample 0 against the truth; and coverage, where there are several."""
     if job.photos is None:
         return {}
-    truth = load_truth(job.photos)
+    truth = truth_of_work(job.photos, job.folders["poses"].parent)
     mesh = job.folders["atlas"] / "mesh_uv.ply"
     values = {}
     for k in range(job.draws):

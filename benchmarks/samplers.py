@@ -42,6 +42,7 @@ from pipeline.base.files import write_json
 from pipeline.base.images import read_exr
 from pipeline.base.progress import Bar
 from pipeline.base.runtime import set_threads
+from pipeline.photos.radiance import Radiance
 from pipeline.posterior.load import load_problem
 from pipeline.posterior.refine import COARSE, refine, units
 from pipeline.posterior.samplers import SAMPLERS
@@ -71,11 +72,13 @@ def aligned_rms(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
 
 class Truth:
     """What is known of a rendered scene, at fixed pixels of its held-out views: base colour,
-    another light's picture, the light.
+    another light's picture, the light. Radiance is in the unit of the scene's work folder, in which
+    `white` of the truth's is 1.
     """
 
-    def __init__(self, folder: Path, problem, mesh: Path, light_rows: int):
-        self.light = resample_area(read_exr(folder / "envmap.exr"), light_rows, 2 * light_rows)
+    def __init__(self, folder: Path, problem, mesh: Path, light_rows: int, white: float):
+        own = read_exr(folder / "envmap.exr") / white
+        self.light = resample_area(own, light_rows, 2 * light_rows)
         views = problem.observations.held_out
         self.uv, shown = self._shown(folder, views, Tracer(mesh))
         self.colours = shown["albedo"]
@@ -84,11 +87,11 @@ class Truth:
         other = next(
             f for f in sorted((folder / "relight").glob("*.exr")) if f.with_suffix("").is_dir()
         )
-        self.other_light = read_exr(other)
+        self.other_light = read_exr(other) / white
         self.pixels = []
         self.relit = []
         for view in views:
-            picture = read_exr(other.with_suffix("") / f"{view.name}.exr")
+            picture = read_exr(other.with_suffix("") / f"{view.name}.exr") / white
             inside = cv2.erode((picture.sum(-1) > 0).astype(np.uint8), np.ones((5, 5)))
             rows, columns = np.random.default_rng(0).permutation(np.argwhere(inside))[:RELIT].T
             self.pixels.append((view, np.stack([columns, rows], -1)))
@@ -200,7 +203,9 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
     )
     truth = None  # it has the frame of the given cameras
     if (folder / "transforms.json").exists() and (folder / "truth").is_dir():
-        truth = Truth(folder / "truth", full, folders["atlas"] / "mesh_uv.ply", prior.height)
+        white = Radiance.load(folders["capture"]).white
+        mesh = folders["atlas"] / "mesh_uv.ply"
+        truth = Truth(folder / "truth", full, mesh, prior.height, white)
 
     rows = []
     pictures = []
@@ -216,8 +221,8 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         row = {"seconds": time.perf_counter() - began}
         set_threads(2)
         with Bar(f"refine {seed}", units(settings)) as bar:
-            held = SAMPLERS[method].scale_drawn
-            final, _ = refine(full, small, drawn, settings, seed, bar, held)
+            scale_drawn = SAMPLERS[method].scale_drawn
+            final, _ = refine(full, small, drawn, settings, seed, bar, scale_drawn)
         pictures.append(
             [render_twice(full.renderer, final, view, mask, HELD_OUT_SPP) for view, _, mask in held]
         )
@@ -266,7 +271,7 @@ def main() -> None:
         scene = parse_scene({"photos": folder} | overrides(args.set), name)
         folders = {
             s: args.work / checked_name(name) / s
-            for s in ("observe", "poses", "atlas", "mesh", "fit")
+            for s in ("capture", "poses", "mesh", "atlas", "observe", "fit")
         }
         for method in args.methods:
             rows.append({"scene": name} | judge(method, scene, folders, Path(folder), args.samples))

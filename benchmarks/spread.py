@@ -152,7 +152,7 @@ def blocks(light: np.ndarray) -> np.ndarray:
 
 def drawn(data: RowData, state: State, prior, settings: Sample, seed: int) -> np.ndarray:
     """Blocks of one posterior light: the sampler's light kernels, materials and noise known."""
-    rng = Randomness(*generators(settings, seed))
+    rng = Randomness(*generators(seed))
     mixer, gaussian = Mixer(data), load_prior(settings.search_prior)
     decoder = Decoder.onto(gaussian, data.light_rows)
     modes = Modes(gaussian, gaussian, COMPONENTS, data.light_rows)

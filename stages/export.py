@@ -19,7 +19,6 @@ def work(s: Stage) -> None:
         "preset": s.scene.preset,
         "sampler": s.scene.sample.method,
         "prior": s.scene.sample.prior,
-        "seed": s.scene.sample.seed,
         "poses": load_cameras(s.args.poses / "cameras.json").source,
         "meters_known": s.scene.poses.object_size is not None,
     }

@@ -242,7 +242,7 @@ mesh:
   method: hull
 fit: {pixels: 4096, spp: 16}
 sample:
-  seed: 7
+  points: 70
   guidance: 1.5
 """
 

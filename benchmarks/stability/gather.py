@@ -12,11 +12,10 @@ from benchmarks.stability.knobs import KNOBS
 from benchmarks.stability.point import REFUSED, seeds_of
 from benchmarks.stability.points import Point
 from benchmarks.stability.scenes import BASES, SIZES
-from benchmarks.study.gather import of_draws
+from benchmarks.study.gather import of_draws, truth_of_row
 from benchmarks.study.methods import METHODS
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json
-from pipeline.report.truth import load_truth
 
 KEPT = (
     "relight_psnr",
@@ -71,7 +70,7 @@ def of_point(point: Point, method: str, out: Path) -> list[dict]:
     more["commits"] = sorted({row["commit"] for row in found})
     if len(seeds) >= LEAST_DRAWS:
         packs = [np.load(rows / f"{seed}.npz") for seed in seeds]
-        together = of_draws(packs, load_truth(out / "scenes" / point.scene))
+        together = of_draws(packs, truth_of_row(out / "scenes" / point.scene, found[0]))
         held = {kind: shares["80%"] for kind, shares in together["coverage"].items()}
         more |= {"held": held, "coverage": float(np.mean(list(held.values())))}
         more["relight_of_mean"] = together["relight_psnr_of_mean"]

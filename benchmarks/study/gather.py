@@ -29,14 +29,21 @@ def gathered(out: Path) -> dict:
 
     together = []
     for scene in dict.fromkeys(row["scene"] for row in rows):
-        truth = load_truth(out / "scenes" / scene)
-        for method in dict.fromkeys(row["method"] for row in rows if row["scene"] == scene):
-            seeds = [r["seed"] for r in rows if (r["scene"], r["method"]) == (scene, method)]
+        of_scene = [row for row in rows if row["scene"] == scene]
+        truth = truth_of_row(out / "scenes" / scene, of_scene[0])
+        for method in dict.fromkeys(row["method"] for row in of_scene):
+            seeds = [row["seed"] for row in of_scene if row["method"] == method]
             packs = [np.load(out / "rows" / scene / method / f"{seed}.npz") for seed in seeds]
             if len(packs) > 1:
                 scores = of_draws(packs, truth)
                 together.append({"scene": scene, "method": method, "scores": scores})
     return {"machine": machine(), "rows": rows, "together": together}
+
+
+def truth_of_row(folder: Path, row: dict) -> Truth:
+    """The truth of a scene's folder in the unit that a row's pictures have."""
+    # an earlier version's row has none: its truth was in the unit of the held-out views
+    return load_truth(folder, row.get("white"))
 
 
 def of_draws(packs: list, truth: Truth) -> dict:

@@ -20,6 +20,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 
 from benchmarks.study.charts import STYLE
+from benchmarks.study.gather import truth_of_row
 from benchmarks.study.methods import methods_named
 from pipeline.base.errors import run_stage
 from pipeline.base.files import atomic_path, read_json
@@ -27,7 +28,7 @@ from pipeline.base.images import linear_to_srgb
 from pipeline.render.envmap import resample_area
 from pipeline.render.light_metrics import tone_mapped
 from pipeline.report.score import LIGHT_ROWS, true_pictures
-from pipeline.report.truth import Truth, load_truth
+from pipeline.report.truth import Truth
 
 VIEW = 0  # the held-out view that is shown
 QUALITY = 85  # of the JPEG
@@ -98,9 +99,10 @@ def main() -> None:
     parser.add_argument("--methods", required=True, help="names, with commas between")
     parser.add_argument("--to", type=Path, required=True)
     args = parser.parse_args()
-    truth = load_truth(args.out / "scenes" / args.scene)
     methods = methods_named(args.methods.split(","))
-    rows = [row_of(args.out / "rows" / args.scene, method, truth) for method in methods]
+    made = args.out / "rows" / args.scene
+    truth = truth_of_row(args.out / "scenes" / args.scene, read_json(made / methods[0] / "0.json"))
+    rows = [row_of(made, method, truth) for method in methods]
     draw([true_row(truth), *rows], args.to)
 
 

@@ -30,7 +30,7 @@ from pipeline.prior.load import load_prior
 from pipeline.render.envmap import resample_area, sh_coefficients
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.report.score import MAX_DEPTH, Scored, score_explanation
-from pipeline.report.truth import Truth, load_truth
+from pipeline.report.truth import truth_of_work
 
 SPP = 64  # paths per pixel of scored pictures
 SH_ROWS = 32
@@ -104,7 +104,7 @@ def measure(
     name = photos.name
     folders = {s: work / name / s for s in ("observe", "poses", "atlas", "mesh", "fit")}
     scene = scene_for(method, str(photos))
-    truth: Truth = load_truth(photos)
+    truth = truth_of_work(photos, work / name)
     rows = len(truth.known_light())
     renderer = Renderer(folders["atlas"] / "mesh_uv.ply", scene.refine.texture, rows, MAX_DEPTH)
 
@@ -124,6 +124,7 @@ def measure(
             "seed": seed,
             "scores": scored.values,
             "views": scored.views,
+            "white": truth.white,
             "cost": cost,
             "peak_gib": round(peak, 2),
             "machine": machine(),

@@ -35,7 +35,7 @@ from pipeline.render.envmap import solid_angles
 from pipeline.render.observe import Observations, Tracer
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.report.score import MAX_DEPTH, picture_scores, rendered, true_pictures
-from pipeline.report.truth import Truth, load_truth
+from pipeline.report.truth import Truth, truth_of_work
 
 YARDSTICKS = ("unlit", "unlit_scaled", "diffuse")
 
@@ -110,7 +110,8 @@ def main() -> None:
     folders = sorted(file.parent for file in args.scenes.resolve().glob("*/transforms_test.json"))
     for folder in progress(folders, "yardsticks"):
         prepare(folder)
-        rows += rows_of_scene(ROOT / "work" / folder.name, load_truth(folder))
+        work = ROOT / "work" / folder.name
+        rows += rows_of_scene(work, truth_of_work(folder, work))
     write_json(args.out, {"machine": machine(), "rows": rows})
 
 

@@ -16,29 +16,16 @@ import argparse
 import shutil
 from pathlib import Path
 
-from benchmarks.chain_runs import rows_at_hand, run_chain
+from benchmarks.chain_runs import peak_gib, rows_at_hand, run_chain, stage_metrics
 from benchmarks.tables.committed import head_commit
 from benchmarks.work.knobs import KNOBS, Knob
 from pipeline.base.config import merge
 from pipeline.base.errors import InputError, nearest, run_stage
-from pipeline.base.files import read_json, write_json
+from pipeline.base.files import write_json
 from pipeline.base.progress import progress
 
 SCENE = "work"
 TARGETS = [f"exports/{SCENE}.usda", f"exports/{SCENE}_report.html"]
-
-
-def stage_metrics(work: Path) -> dict[str, list[dict]]:
-    """What the stages of a finished scene wrote about themselves, by stage."""
-    found: dict[str, list[dict]] = {}
-    for file in sorted([*work.glob("*.json"), *work.glob("*/*.json"), *work.glob("*/*/*.json")]):
-        stage = file.stem
-        if stage not in ("export", "report") and stage not in file.parts[:-1]:
-            continue
-        facts = read_json(file)
-        if "peak_gib" in facts:
-            found.setdefault(stage, []).append(facts)
-    return found
 
 
 def row(name: str, value: int, knob: Knob, preset: str, out: Path) -> dict:
@@ -50,6 +37,7 @@ def row(name: str, value: int, knob: Knob, preset: str, out: Path) -> dict:
     own = {"photos": str(photos), "preset": preset, "samples": 1}
     seconds = run_chain(project, SCENE, merge(own, knob.settings(value)), TARGETS)
     metrics = stage_metrics(project / "work" / SCENE)
+    peaks = peak_gib(metrics)
     shutil.rmtree(project)
     return {
         "knob": name,
@@ -57,10 +45,8 @@ def row(name: str, value: int, knob: Knob, preset: str, out: Path) -> dict:
         "preset": preset,
         "core_seconds": seconds,
         "seconds": {stage: sum(f["seconds"] for f in many) for stage, many in metrics.items()},
-        "peak_gib_by_stage": {
-            stage: max(f["peak_gib"] for f in many) for stage, many in metrics.items()
-        },
-        "peak_gib": max(f["peak_gib"] for many in metrics.values() for f in many),
+        "peak_gib_by_stage": peaks,
+        "peak_gib": max(peaks.values()),
         "commit": head_commit(),
     }
 

@@ -18,7 +18,6 @@ from pipeline.base.errors import InputError, nearest
 PRESET_FOLDER = Path(__file__).resolve().parents[2] / "configs" / "presets"
 
 
-MOST_SEED = 2**31 - 1
 MOST_PIXELS = 1_000_000  # of one step
 
 
@@ -183,7 +182,6 @@ class Observe(Section):
     background: bool = Field(
         False, description="photos that look past the object show the light in those directions"
     )
-    seed: int = Field(0, ge=0, le=MOST_SEED)
 
 
 class Choose(Section):
@@ -247,7 +245,6 @@ class Fit(Section):
     )
     learning_rate: float = Field(0.02, gt=0, le=1)
     texture: int = Field(256, ge=8, le=4096, description="texture side during the fit")
-    seed: int = Field(0, ge=0, le=MOST_SEED)
 
 
 class Sample(Section):
@@ -300,11 +297,6 @@ class Sample(Section):
     search_points: int = Field(
         250, ge=10, description="split_gibbs: points for the search of start materials"
     )
-    search_sweeps: int = Field(
-        2,
-        ge=1,
-        description="split_gibbs: sweeps of that search over all regions, from three starts",
-    )
     region_steps: int = Field(
         100, ge=1, description="split_gibbs: Metropolis-Hastings steps of the materials per turn"
     )
@@ -316,7 +308,6 @@ class Sample(Section):
     guidance: float = Field(1.0, gt=0, le=100, description="multiplies the paper's rho schedule")
     learning_rate: float = Field(0.01, gt=0, le=1, description="materials' Adam step, Eq. 16")
     texture: int = Field(256, ge=8, le=4096)
-    seed: int = Field(0, ge=0, le=MOST_SEED)
 
 
 class Refine(Section):
@@ -393,8 +384,13 @@ class Scene(Section):
 # Settings of earlier versions, and what to do where a configuration has them
 REMOVED = {
     "choose.maps": "remove the line: refine.gloss says whether gloss and metal are tested",
+    "fit.seed": "remove the line: the fit always takes the same random numbers",
     "mesh.depth_scale": "remove the line: mesh.depth_pixels alone says how much photos are reduced",
+    "observe.seed": "remove the line: photos that you name in transforms_test.json are held out, "
+    "else always the same",
     "poses.seed": "remove the line: it changed nothing but the order of random tries",
+    "sample.search_sweeps": "remove the line: the search always makes two sweeps",
+    "sample.seed": "remove the line: sample k is drawn from seed k; raise `samples` for more draws",
 }
 
 # ValueError: bytes that are no text, a day that no calendar has; RecursionError: endless nesting

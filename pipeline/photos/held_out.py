@@ -24,7 +24,7 @@ FEWEST_MATCHES = 15  # points that a pose found from them must agree with
 
 def hold_out(photos: list[dict], settings: Observe) -> list[dict]:
     """The photos (photos.json) with those held out marked: `split` "test". The scene's own test
-    photos, else a random share of all (at least one from 8 photos on).
+    photos, else a random share of all (at least one from 8 photos on), the same in every run.
     """
     names = [p["name"] for p in photos if p["split"] == "fit"]
     if len(names) < len(photos) or settings.held_out == 0:
@@ -32,7 +32,7 @@ def hold_out(photos: list[dict], settings: Observe) -> list[dict]:
 
     least = 1 if len(names) >= 8 else 0
     count = max(round(settings.held_out * len(names)), least)
-    chosen = np.random.default_rng(settings.seed).choice(names, count, replace=False).tolist()
+    chosen = np.random.default_rng(0).choice(names, count, replace=False).tolist()
     return [p | {"split": "test" if p["name"] in chosen else "fit"} for p in photos]
 
 

@@ -91,8 +91,9 @@ def start(problem: Problem, texture: int) -> Explanation:
     )
 
 
-def fit(problem: Problem, settings: Fit) -> tuple[Explanation, dict]:
-    """Returns the best explanation and {"loss_start", "loss_end", "best_step"}.
+def fit(problem: Problem, settings: Fit, seed: int = 0) -> tuple[Explanation, dict]:
+    """Returns the best explanation and {"loss_start", "loss_end", "best_step"}. seed: of pixels and
+    paths.
 
     Eq. 15 (published): x, k = argmin over x, k of sum_i || y_i - R(x, k, c_i) ||^2
 
@@ -106,7 +107,7 @@ def fit(problem: Problem, settings: Fit) -> tuple[Explanation, dict]:
     pulls at it (seen_light.py); the state returned is the one with the least running mean of the
     loss, not the last.
     """
-    rng = np.random.default_rng(settings.seed)
+    rng = np.random.default_rng(seed)
     first = start(problem, settings.texture)
     materials = MaterialOptimizer(first, settings.learning_rate, problem.roughness_min)
     light = LightOptimizer(first.light, settings.learning_rate)

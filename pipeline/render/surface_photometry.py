@@ -36,8 +36,8 @@ ENOUGH_PIXELS = 300_000  # over all photos
 
 def cell_brightness(table: dict[str, np.ndarray], views: int) -> np.ndarray:
     """Mean log2 radiance (views, cells, 3) of every cell of the texture in every view, NaN where it
-    shows no usable pixel. table: of make_observations (pipeline/render/observe.py). However many
-    pixels there are, it is 55 kB a view.
+    shows no usable pixel. table: of make_observations (pipeline/render/observe.py). The result is
+    dense, for there are at most CELLS^2 cells, however many pixels: 55 kB a view.
     """
     column, row = np.clip((table["uv"] * CELLS).astype(int), 0, CELLS - 1).T
     size = (views, CELLS * CELLS)

@@ -22,7 +22,7 @@ from pipeline.base.files import json_entry
 from pipeline.base.images import read_exr, read_png, srgb_to_linear
 from pipeline.geometry.cameras import View
 from pipeline.photos.given_cameras import read_transforms
-from pipeline.photos.radiance import level_of, white_of
+from pipeline.photos.radiance import Radiance, level_of, white_of
 from pipeline.photos.scene_files import mask_file, named_frames, photo_name
 from pipeline.render.envmap import check_lat_long
 from pipeline.render.observe import Tracer, inner_mask
@@ -188,8 +188,8 @@ def held_out(folder: Path, notes: list[str]) -> list[TrueView]:
 
 
 def white_of_views(folder: Path, views: list[TrueView]) -> float:
-    """The radiance that is white in a scene with these held-out views: 1, the full scale of its
-    photos, unless all of them are EXRs, whose unit may be any.
+    """The radiance that is white in a scene of which no more is known than these held-out views: 1,
+    the full scale of its photos, unless all of them are EXRs, whose unit may be any.
     """
     photos = named_frames(folder, folder / CAMERAS)
     if any(photo.suffix.lower() != ".exr" for photo in photos):
@@ -197,8 +197,18 @@ def white_of_views(folder: Path, views: list[TrueView]) -> float:
     return white_of([level_of(known.photo.mean, known.outline) for known in views])
 
 
-def load_truth(folder: Path) -> Truth:
-    """The truth in the scene's unit. Raises InputError naming what a folder lacks."""
+def truth_of_work(folder: Path, work: Path) -> Truth:
+    """The truth of a scene's folder in the unit of its work folder: capture has found the white
+    from all photos, and what lies there is over it. Raises InputError naming what a folder lacks.
+    """
+    return load_truth(folder, Radiance.load(work / "capture").white)
+
+
+def load_truth(folder: Path, white: float | None = None) -> Truth:
+    """The truth in the scene's unit, in which the radiance `white` of the folder is 1; None: as its
+    held-out views show, for an asset that comes without its work folder. Raises InputError naming
+    what a folder lacks.
+    """
     needed(folder, "folder")
     notes: list[str] = []
     views = held_out(folder, notes)
@@ -213,7 +223,8 @@ def load_truth(folder: Path) -> Truth:
         notes += [] if light is not None else ["the truth has no light"]
         notes += [] if relights else ["the truth has no view under another light"]
 
-    white = white_of_views(folder, views)
+    if white is None:
+        white = white_of_views(folder, views)
     return Truth(
         [replace(known, photo=known.photo.over(white)) for known in views],
         None if light is None else light / white,

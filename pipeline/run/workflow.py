@@ -215,10 +215,11 @@ class Scenes:
         model = model_folder(folder)
         return not_from_the_future(given + (sorted(model.glob("*.*")) if model else []))
 
-    def held_out(self, name: str) -> str:
-        """What the poses stage reads of the section observe: which photos are kept for scoring."""
-        observe = self(name).observe
-        return json.dumps([observe.held_out, observe.seed])
+    def held_out(self, name: str) -> float:
+        """What the poses stage reads of the section observe: the share of photos kept for
+        scoring.
+        """
+        return self(name).observe.held_out
 
     def network(self, name: str) -> list[str]:
         """The user's network that the masks stage runs, if it is asked for."""

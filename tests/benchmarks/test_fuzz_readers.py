@@ -112,7 +112,7 @@ def test_any_matrix_is_a_pose_or_refused(tmp_path_factory, rows):
 
 
 scalar = st.none() | st.booleans() | st.integers() | st.floats() | st.text(string.printable)
-key = st.text(max_size=4) | st.sampled_from([*Scene.model_fields, "grid", "method", "seed"])
+key = st.text(max_size=4) | st.sampled_from([*Scene.model_fields, "grid", "method", "points"])
 tree = st.recursive(scalar, lambda part: st.lists(part) | st.dictionaries(key, part), max_leaves=8)
 
 

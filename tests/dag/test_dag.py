@@ -40,11 +40,10 @@ photos: "{photos}"
 preset: draft
 samples: {samples}
 atlas: {{resolution: 64, padding: 1}}
-observe: {{seed: {seed}, pixels: 3000}}
+observe: {{pixels: 3000}}
 render: {{max_depth: 3}}
-fit: {{seed: {seed}, steps: 20, learning_rate: 0.05, pixels: 400, spp: 2, texture: 16}}
+fit: {{steps: 20, learning_rate: 0.05, pixels: 400, spp: 2, texture: 16}}
 sample:
-  seed: {seed}
   prior: prior.safetensors
   search_prior: search.safetensors
   light: 16
@@ -52,7 +51,6 @@ sample:
   points: 60
   smooth: 1
   search_points: 30
-  search_sweeps: 1
   region_steps: 20
 refine: {{steps: 4, pixels: 300, spp: 2, texture: 48, shading_pixels: 1000, score_spp: 16}}
 report: {{relight_size: 48, spp: 4}}
@@ -129,7 +127,7 @@ def project(tmp_path_factory, ball) -> Path:
     (scene / "masks").mkdir()
     (folder / "configs").mkdir()
     for name, samples, more in (("toy", 2, ""), (ODD, 1, CHOOSING)):
-        text = TINY.format(photos=scene.name, samples=samples, seed=seeded(0)) + more
+        text = TINY.format(photos=scene.name, samples=samples) + more
         (folder / "configs" / f"{name}.yaml").write_text(text, encoding="utf-8")
     shutil.copy(ROOT / "weights" / "prior_tiny.safetensors", folder / "prior.safetensors")
     shutil.copy(ROOT / "weights" / "gaussian_tiny.safetensors", folder / "search.safetensors")

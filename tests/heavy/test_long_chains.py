@@ -51,7 +51,6 @@ LONG = Sample(
     light=16,
     region_steps=10,
     search_points=25,
-    search_sweeps=1,
 )
 # factor of the data term: medians over a fifth of the steps differ by some hundredths between seeds
 LATE_RISE = 1.15

@@ -11,6 +11,7 @@ from pipeline.posterior.samplers import SAMPLERS
 from pipeline.prior.load import load_prior
 from pipeline.render.envmap import sh_coefficients
 from tests.posterior.conftest import problem, start, toy  # noqa: F401  (fixtures)
+from tests.seeds import seeded
 
 pytestmark = [pytest.mark.heavy, pytest.mark.usefixtures("one_thread")]
 DRAWS = 8
@@ -26,7 +27,6 @@ SMALL = Sample(
     views=4,
     region_steps=20,
     search_points=25,
-    search_sweeps=1,
 )
 
 
@@ -43,17 +43,9 @@ def test_a_seed_sweep_moves_nothing_but_noise(problem, start):  # noqa: F811
     Bonferroni. No two draws are alike.
     """
     prior = load_prior("prior_small")
-    sweep = lambda seed: np.array(
-        [
-            figures(
-                SAMPLERS["split_gibbs"](
-                    problem, prior, start[0], SMALL.model_copy(update={"seed": seed}), k
-                )[0]
-            )
-            for k in range(DRAWS)
-        ]
-    )
-    a, b = sweep(0), sweep(7)
+    draw = lambda seed: SAMPLERS["split_gibbs"](problem, prior, start[0], SMALL, seed)[0]
+    sweep = lambda first: np.array([figures(draw(first + k)) for k in range(DRAWS)])
+    a, b = sweep(seeded(0)), sweep(seeded(DRAWS))
     moves = a.std(0) > 1e-9  # a draw may leave metallic at 0 throughout
     p = stats.ttest_ind(a[:, moves], b[:, moves], equal_var=False).pvalue
     ratio = a[:, moves].var(0, ddof=1) / b[:, moves].var(0, ddof=1)

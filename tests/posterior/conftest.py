@@ -59,9 +59,7 @@ def toy(ball, tmp_path_factory):
     marked = hold_out([{"name": v.name, "split": "fit"} for v in views], Observe())
     views = [replace(v, split=p["split"]) for v, p in zip(views, marked)]
     save_cameras(folder / "cameras.json", Rig(views, np.zeros(3), 0.6, "transforms.json"))
-    make_observations(
-        folder, folder, ball / "mesh_uv.ply", folder, Observe(pixels=4000, seed=seeded(0))
-    )
+    make_observations(folder, folder, ball / "mesh_uv.ply", folder, Observe(pixels=4000))
     return folder, truth
 
 
@@ -78,4 +76,4 @@ def problem(toy, ball):
 @pytest.fixture(scope="session")
 def start(problem):
     """Its fit: (explanation, facts)."""
-    return fit(problem, Fit(steps=40, pixels=1000, texture=32, seed=seeded(0)))
+    return fit(problem, Fit(steps=40, pixels=1000, texture=32), seeded(0))

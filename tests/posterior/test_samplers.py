@@ -39,8 +39,6 @@ SMALL = Sample(
     region_steps=5,
     search_prior="gaussian_tiny",
     search_points=10,
-    search_sweeps=1,
-    seed=seeded(0),
 )
 
 
@@ -70,7 +68,7 @@ def test_kernels_change_no_state_they_are_given(problem, start):
     and the first state is as it was, with what the photos predict from it.
     """
     with torch.no_grad():
-        rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)
+        rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, seeded(0))
         before = fingerprint(state)
         light = np.ones((2 * SMALL.light**2, 3))
         value = RowLikelihood.of(model.mixer, state).value(light)
@@ -111,7 +109,7 @@ def test_starts_are_judged_by_photos_that_they_were_not_told_of(problem, start):
     the odds.
     """
     with torch.no_grad():
-        rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)
+        rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, seeded(0))
         some = model.without_some_photos(numpy_rng(1))
         told = some.data.told
         assert set(some.view[told]).isdisjoint(some.view[~told]) and 0 < told.mean() < 1
@@ -130,7 +128,7 @@ def test_starts_are_judged_by_photos_that_they_were_not_told_of(problem, start):
 def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):
     """A state and its random numbers, written to disk and read again in the middle of a chain."""
     with torch.no_grad():
-        rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)
+        rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, seeded(0))
         state = gaussian_sweeps(rng, model, state, 1)
         (tmp_path / "state").write_bytes(pickle.dumps((state, rng.numpy, rng.torch.get_state())))
         straight = gaussian_sweeps(rng, model, state, 1)
@@ -138,7 +136,7 @@ def test_a_saved_state_goes_on_as_if_never_stopped(problem, start, tmp_path):
         saved, numbers, noise = pickle.loads((tmp_path / "state").read_bytes())
         resumed = Randomness(numbers, torch.Generator())
         resumed.torch.set_state(noise)
-        other = set_up(problem, load_prior("prior_small"), start[0], SMALL, 0)[1]
+        other = set_up(problem, load_prior("prior_small"), start[0], SMALL, seeded(0))[1]
         assert fingerprint(gaussian_sweeps(resumed, other, saved, 1)) == fingerprint(straight)
 
 
@@ -164,7 +162,7 @@ def test_sampler_explains_the_photos_from_its_seed(problem, start, name):
     where steps suffice.
     """
     prior = load_prior("prior_small")
-    a, b, again = (SAMPLERS[name](problem, prior, start[0], SMALL, seed)[0] for seed in (0, 1, 0))
+    a, b, again = (SAMPLERS[name](problem, prior, start[0], SMALL, seeded(k))[0] for k in (0, 1, 0))
     for field in ("light", "base_color", "roughness", "metallic"):
         values = getattr(a, field)
         assert np.isfinite(values).all() and values.min() >= 0

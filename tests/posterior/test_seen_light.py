@@ -131,5 +131,5 @@ def test_fit_recovers_a_light_better_that_it_sees(problem, start, toy):
     observations = copy.copy(problem.observations)
     observations.surroundings = Surroundings(None, sighted(table, upper))
     seeing = Problem(observations, problem.renderer, problem.roughness_min)
-    found, _ = fit(seeing, Fit(steps=40, pixels=1000, texture=32, seed=seeded(0)))
+    found, _ = fit(seeing, Fit(steps=40, pixels=1000, texture=32), seeded(0))
     assert light_psnr(found.light, truth) > light_psnr(start[0].light, truth) + 0.5

@@ -143,7 +143,7 @@ def dpi_paper(
     Roughness and metallic begin at the fit's values, the base colour at 0. Deterministic in `seed`:
     independent of other samples and of what ran before in the process.
     """
-    rng, noise = generators(settings, seed)
+    rng, noise = generators(seed)
     light_scale = scale_of(start.light)
     first = resize_explanation(start, settings.texture)
     first = replace(first, base_color=np.zeros_like(first.base_color))

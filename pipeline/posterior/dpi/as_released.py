@@ -142,7 +142,7 @@ def dpi_code(
     """One sample by the released algorithm; arguments and result as `dpi_paper`, whose equations
     are named in the comments.
     """
-    rng, noise = generators(settings, seed)
+    rng, noise = generators(seed)
     outdoor = settings.label not in INDOOR
     light_scale = scale_of(start.light)
     first = resize_explanation(start, settings.texture)

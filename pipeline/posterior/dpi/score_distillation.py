@@ -41,7 +41,7 @@ def sds(
     problem: Problem, prior: Prior, start: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
     """One optimum from a random code; arguments and result as `dpi_paper`."""
-    rng, noise = generators(settings, seed)
+    rng, noise = generators(seed)
     light_scale = scale_of(start.light)
     first = resize_explanation(start, settings.texture)
     materials = MaterialOptimizer(first, settings.learning_rate, problem.roughness_min)

@@ -138,7 +138,7 @@ def with_penalty(name: str) -> Descent:
         problem: Problem, prior: Prior, start: Explanation, settings: Sample, seed: int
     ) -> tuple[Explanation, dict]:
         """One optimum; arguments and result as `dpi_paper`."""
-        rng, _ = generators(settings, seed)
+        rng, _ = generators(seed)
         penalty = PENALTIES[name]
         first, level = begun(start, prior, settings)
         weight = equal_weight(problem, first, penalty, level, settings, rng)
@@ -158,7 +158,7 @@ def spherical_harmonics(
     """One optimum whose light has the nine harmonics up to order 2 (Ramamoorthi and Hanrahan 2001);
     arguments and result as `dpi_paper`.
     """
-    rng, _ = generators(settings, seed)
+    rng, _ = generators(seed)
     first, level = begun(start, prior, settings)
     light = HarmonicLight(first.light, 2 * settings.learning_rate)
     x, losses = descend(problem, first, light, settings, seed, rng, lambda radiance: 0.0)
@@ -172,7 +172,7 @@ def deep_image_prior(
     """One optimum whose light an untrained network draws (deep_image.py). It begins at a constant
     light and the fit's materials; arguments and result as `dpi_paper`.
     """
-    rng, noise = generators(settings, seed)
+    rng, noise = generators(seed)
     first, _ = begun(start, prior, settings)
     light = NetworkLight(first.light, 2 * settings.learning_rate, noise)
     x, losses = descend(problem, first, light, settings, seed, rng, lambda radiance: 0.0)
@@ -203,7 +203,7 @@ def shaded_by(shading: Callable[[Problem], Problem]) -> Descent:
         problem: Problem, prior: Prior, start: Explanation, settings: Sample, seed: int
     ) -> tuple[Explanation, dict]:
         """One optimum; arguments and result as `dpi_paper`."""
-        rng, _ = generators(settings, seed)
+        rng, _ = generators(seed)
         first, _ = begun(start, prior, settings)
         light = LightOptimizer(first.light, 2 * settings.learning_rate)
         shaded = shading(problem)

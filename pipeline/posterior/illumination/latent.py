@@ -95,7 +95,7 @@ def inverted(name: str) -> Descent:
         problem: Problem, prior: Prior, start: Explanation, settings: Sample, seed: int
     ) -> tuple[Explanation, dict]:
         """One optimum; arguments and result as `dpi_paper`."""
-        rng, noise = generators(settings, seed)
+        rng, noise = generators(seed)
         generator = load_generator(name)
         first, level = begun(start, prior, settings)
         weight = data_term(problem, first, settings, rng)

@@ -52,6 +52,8 @@ SMOOTH = 0.7
 # over shows the noise's correlation), and then with rows thinned (the last sweeps that move the
 # light's brightness freely, so with the errors it has)
 FIRST_SWEEPS, THINNED_SWEEPS = 1, 1
+# sweeps of the search over all regions, from each of its three starts
+SEARCH_SWEEPS = 2
 # material steps at the search's light, for colours and noise: it is too smooth to say anything of
 # gloss
 WARM_UP_STEPS = 50
@@ -113,7 +115,7 @@ def start(rng: Randomness, model: Model, state: State, sweeps: int) -> State:
     # 2a  sets of materials and lights by evidence
     some = model.without_some_photos(rng.numpy)
     search = Search.over(some.data, gaussian, state.log_scale, settings.search_points, rng.numpy)
-    found = search.run(state.materials, settings.search_sweeps, rng.numpy)
+    found = search.run(state.materials, SEARCH_SWEEPS, rng.numpy)
 
     # 2b  sweeps from each; the one stays that explains the other photos better, by the odds
     states = [begun(rng, some, state, *materials_and_code) for materials_and_code in found]

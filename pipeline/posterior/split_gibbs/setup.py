@@ -173,9 +173,9 @@ def set_up(
     problem: Problem, prior: Prior, fit: Explanation, settings: Sample, seed: int
 ) -> tuple[Randomness, Model, State]:
     """Step 1: random numbers, model and first state of draw `seed`; `fit` is the point estimate."""
-    rng = Randomness(*generators(settings, seed))
+    rng = Randomness(*generators(seed))
     observations, scene = problem.observations, problem.renderer.scene
-    own = settings.seed + 1000 * seed
+    own = 1000 * seed
 
     rows = choose_rows(observations, scene, settings.points, settings.views, own)
     uv = observations.uv[rows.observation]

@@ -1,0 +1,37 @@
+"""Peak memory by stage, from what stages write about themselves."""
+
+import pytest
+
+from benchmarks.memory import ORDER, table
+from pipeline.base.errors import InputError
+from pipeline.base.files import write_json
+from tests.conftest import TESTS
+
+
+def test_folders_stand_side_by_side_with_the_largest_of_the_samples(tmp_path):
+    for file, gib in (
+        ("a/report.json", 0.5),
+        ("a/mesh/mesh.json", 2.25),
+        ("a/sample/0/sample.json", 1.0),
+        ("a/sample/1/sample.json", 1.5),
+        ("b/mesh/mesh.json", 0.75),
+    ):
+        write_json(tmp_path / file, {"peak_gib": gib})
+    one, other = tmp_path / "a", tmp_path / "b"
+    assert table([one, other]).splitlines() == [
+        f"| stage | {one} | {other} |",
+        "| --- | --- | --- |",
+        "| mesh | 2.25 | .75 |",
+        "| sample | 1.50 |  |",
+        "| report | .50 |  |",
+    ]
+
+
+def test_a_folder_without_stages_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no stage is finished"):
+        table([tmp_path])
+
+
+def test_no_stage_is_left_out():
+    stages = {file.stem for file in (TESTS.parent / "stages").glob("[a-z]*.py")}
+    assert set(ORDER) == stages and len(ORDER) == len(stages)
