@@ -1,6 +1,6 @@
 """Charts of a study: seconds against accuracy, with the Pareto front, as SVG and PNG.
 
-python -m benchmarks.study.charts --rows benchmarks/results/study_xs.json --out docs
+python -m benchmarks.study.charts --suite XS --out docs
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from benchmarks.study.front import (
     relight_points,
 )
 from benchmarks.study.methods import LENGTHS
+from benchmarks.study.store import ROWS, suite_rows
 from benchmarks.study.tables import scenes_in
 from benchmarks.study.yardstick_tables import means
 from pipeline.base.errors import run_stage
-from pipeline.base.files import read_json
 
 PAPER_SECONDS = 1188.0  # a sample of the paper on an A100 (its section 5), 19.8 minutes
 COLORS = {"ours": "#b4500f", "others": "#28507d", "front": "#777777"}
@@ -137,8 +137,8 @@ def draw(
         saved(figure, out, dpi=130)
 
 
-def charts(data: dict, out: Path, suite: str, yardsticks: list[dict] | None = None) -> None:
-    """Both charts of a study under `out`; yardsticks: rows of `benchmarks.study.yardsticks`."""
+def charts(data: dict, out: Path, suite: str) -> None:
+    """Both charts of a study under `out`, with lines across where the yardsticks are."""
     count = len(scenes_in(data))
     title = (
         f"suite {suite}, {count} scenes; dashed: nothing is both faster and better;\n"
@@ -146,8 +146,7 @@ def charts(data: dict, out: Path, suite: str, yardsticks: list[dict] | None = No
     )
     file = lambda name: out / f"study_{suite.lower()}_{name}"
     label = "relight PSNR, dB (bars: 95 % of the difference from ours)"
-    across = means(data, yardsticks) if yardsticks else None
-    draw(relight_points(data), True, label, title, file("relight"), across)
+    draw(relight_points(data), True, label, title, file("relight"), means(data))
     label = "error of the 80 % intervals' coverage"
     draw(coverage_points(data), False, label, title, file("coverage"))
 
@@ -156,15 +155,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--rows", type=Path, required=True)
-    parser.add_argument("--yardsticks", type=Path, help="rows of benchmarks.study.yardsticks")
     parser.add_argument("--suite", default="XS")
+    parser.add_argument("--rows", type=Path, default=ROWS, help="the committed ones if not given")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
-    written = lambda file: (found := read_json(file)).get("data", found)
-    data = written(args.rows)
-    across = written(args.yardsticks)["rows"] if args.yardsticks else None
-    charts(data, args.out, args.suite, across)
+    data = suite_rows(args.suite, args.rows)
+    charts(data, args.out, args.suite)
     print(relight_choice(data))
     print(coverage_choice(data))
 

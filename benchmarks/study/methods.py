@@ -58,6 +58,8 @@ LENGTHS = {
     "dpi_paper": ("dpi_paper_10", "dpi_paper_30", "dpi_paper", "dpi_paper_300", "dpi_paper_1000"),
     "dpi_code": ("dpi_code", "dpi_code_1000"),
 }
+# what every method has to beat (benchmarks/study/yardsticks.py)
+YARDSTICKS = ("unlit", "unlit_scaled", "diffuse")
 assert {method.sampler for method in METHODS.values()} == set(SAMPLERS)
 
 

@@ -1,6 +1,6 @@
 """What methods make of a scene: its light, a held-out view, and that view under other lights.
 
-python -m benchmarks.study.pictures --out STUDY --scene xs_rounded_case__sunny_1 \\
+python -m benchmarks.study.pictures --out STUDY --suite XS --scene xs_rounded_case__sunny_1 \\
     --methods split_gibbs_draft,dpi_paper --to docs/study_xs_case.jpg
 
 STUDY is the folder of benchmarks.study. A row for the truth, then one for each method's first draw;
@@ -21,6 +21,7 @@ from matplotlib import pyplot
 
 from benchmarks.study.charts import STYLE
 from benchmarks.study.methods import methods_named
+from benchmarks.study.store import ROWS, row_file, suite_folder
 from pipeline.base.errors import run_stage
 from pipeline.base.files import atomic_path, read_json
 from pipeline.base.images import linear_to_srgb
@@ -56,16 +57,16 @@ def true_row(truth: Truth) -> Row:
     return "truth", cells
 
 
-def row_of(rows: Path, method: str, truth: Truth) -> Row:
-    """A method's first draw, from what benchmarks.study.rows keeps."""
-    scores = read_json(rows / method / "0.json")
-    pack = np.load(rows / method / "0.npz")
-    light = tone_mapped(np.exp(pack["log_light"]))
+def row_of(row: Path, pack: Path, truth: Truth) -> Row:
+    """A method's first draw, from what benchmarks.study.rows writes."""
+    scores = read_json(row)
+    kept = np.load(pack)
+    light = tone_mapped(np.exp(kept["log_light"]))
     cells = [(light, f"{scores['scores']['light_psnr_log']:.1f} dB")]
     for name in shown_names(truth):
-        pixels = pack[f"picture/{name}"].astype(np.float32).mean(0)
+        pixels = kept[f"picture/{name}"].astype(np.float32).mean(0)
         cells.append((inside(pixels, truth.views[VIEW].mask), f"{scores['views'][name]:.1f} dB"))
-    return method, cells
+    return scores["method"], cells
 
 
 def draw(rows: list[Row], to: Path) -> None:
@@ -94,13 +95,18 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--rows", type=Path, default=ROWS, help="the committed ones if not given")
+    parser.add_argument("--suite", default="XS")
     parser.add_argument("--scene", required=True)
     parser.add_argument("--methods", required=True, help="names, with commas between")
     parser.add_argument("--to", type=Path, required=True)
     args = parser.parse_args()
     truth = load_truth(args.out / "scenes" / args.scene)
-    methods = methods_named(args.methods.split(","))
-    rows = [row_of(args.out / "rows" / args.scene, method, truth) for method in methods]
+    folder, draws = suite_folder(args.rows, args.suite), args.out / "draws" / args.scene
+    rows = [
+        row_of(row_file(folder, args.scene, method, 0), draws / method / "0.npz", truth)
+        for method in methods_named(args.methods.split(","))
+    ]
     draw([true_row(truth), *rows], args.to)
 
 
