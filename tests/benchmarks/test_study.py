@@ -2,19 +2,30 @@
 
 import json
 import sys
+from itertools import combinations
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.figures import pyplot
 from benchmarks.study import __main__ as study
-from benchmarks.study.charts import LABEL_HEIGHT, apart, charts
-from benchmarks.study.front import Point, choice, front, relight_points, speed_against
+from benchmarks.study.charts import chart, charts
+from benchmarks.study.front import (
+    Point,
+    choice,
+    coverage_points,
+    front,
+    relight_points,
+    speed_against,
+)
 from benchmarks.study.intervals import paired, views_of
+from benchmarks.study.labels import HEIGHT, apart, box_of
 from benchmarks.study.methods import METHODS, OURS, methods_named, scene_for
 from benchmarks.study.pictures import draw
 from benchmarks.study.store import suite_rows
 from benchmarks.study.tables import coverage_error, levels, mean_of, printed, scene_mean, seconds
+from benchmarks.study.yardstick_tables import means
 from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
 from pipeline.render.declared import METRICS
@@ -115,13 +126,50 @@ def test_front_is_what_nothing_beats():
     assert "`slow` (9.0 s, 20.0 dB) if its time is there, `fast` (1.0 s" in said
 
 
-def test_labels_do_not_cover_each_other():
-    heights = apart([0.5, 0.5, 0.49, 0.9])
+def ink(figure) -> np.ndarray:
+    """Pixels (h, w) that are not white."""
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3].min(-1) < 250
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("points, higher", [(relight_points, True), (coverage_points, False)])
+def test_labels_of_the_committed_charts_cross_nothing(points, higher):
+    """Their ink is where no line, bar or marker has any, and where no other label is."""
+    data = suite_rows("XS")
+    figure = chart(points(data), higher, "", "", means(data) if higher else {})
+    (axes,) = figure.axes
+    boxes = [box_of(label) for label in axes.texts]
+    for label in axes.texts:
+        label.set_color((0, 0, 0, 0))
+    drawn = ink(figure)
+
+    for artist in [*axes.lines, *axes.collections, *axes.spines.values(), axes.xaxis, axes.yaxis]:
+        artist.set_visible(False)
+    for label in axes.texts:
+        label.set_color("black")
+        if label.arrow_patch is not None:
+            label.arrow_patch.set_visible(False)
+    written = ink(figure)
+    pyplot.close(figure)
+    assert drawn.sum() > 1000 and written.sum() > 100 * len(boxes)
+    assert not (drawn & written).any()
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+
+
+def test_labels_in_a_column_do_not_cover_each_other():
+    heights = apart([0.5, 0.5, 0.49, 0.9], [])
     assert heights[2] == 0.49 and heights[3] == 0.9
-    assert min(np.diff(sorted(heights))) >= LABEL_HEIGHT - 1e-9
-    crowded = apart([0.97, 0.98, 0.99, 0.99])
-    assert min(np.diff(sorted(crowded))) >= LABEL_HEIGHT - 1e-9 and max(crowded) < 1
+    assert min(np.diff(sorted(heights))) >= HEIGHT - 1e-9
+    crowded = apart([0.97, 0.98, 0.99, 0.99], [])
+    assert min(np.diff(sorted(crowded))) >= HEIGHT - 1e-9 and max(crowded) < 1
     assert crowded[0] == min(crowded)
+    for heights in ([0.3, 0.31, 0.35], [0.3, 0.98, 0.99]):
+        clear = apart(heights, [0.31, 0.96])
+        assert min(np.diff(sorted(clear))) >= HEIGHT - 1e-9
+        assert all(
+            abs(height - line) >= HEIGHT / 2 - 1e-9 for height in clear for line in (0.31, 0.96)
+        )
 
 
 def test_speed_counts_refinement(data):
