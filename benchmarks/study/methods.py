@@ -86,6 +86,6 @@ def scene_for(name: str, photos: str) -> Scene:
         "photos": photos,
         "preset": "draft",
         "sample": sample,
-        "refine": {"steps": 0, "texture": TEXTURE},
+        "refine": {"steps": 0, "texture": TEXTURE, "gloss": "maps"},
     }
     return parse_scene(own, "benchmarks.study")

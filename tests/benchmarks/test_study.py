@@ -203,6 +203,7 @@ def test_every_sampler_is_a_method_and_shares_what_is_not_its_own(tmp_path):
         assert scene.sample.method == METHODS[name].sampler
         for part in ("capture", "mesh", "atlas", "observe", "render", "fit", "refine"):
             assert getattr(scene, part) == getattr(draft, part), name
+    assert draft.refine.gloss == "maps"  # as drawn: a method's own
     assert draft.sample.points == 170 and scenes["split_gibbs_standard"].sample.points == 250
     assert scenes["dpi_paper_1000"].sample.steps == 1000
     label = lambda method, light: scene_for(method, f"a/xs_vase__{light}").sample.label
