@@ -33,8 +33,8 @@ import numpy as np
 import yaml
 
 from benchmarks.scenes import ROOT, machine, snakemake
-from benchmarks.study.gather import of_draws
 from benchmarks.study.rows import keep_pictures
+from benchmarks.study.together import of_draws
 from benchmarks.suite.make import make_suite
 from pipeline.base.config import load_scene, merge, slice_of
 from pipeline.base.errors import InputError, run_stage

@@ -12,8 +12,8 @@ from benchmarks.stability.knobs import KNOBS
 from benchmarks.stability.point import REFUSED, seeds_of
 from benchmarks.stability.points import Point
 from benchmarks.stability.scenes import BASES, SIZES
-from benchmarks.study.gather import of_draws, truth_of_row
 from benchmarks.study.methods import METHODS
+from benchmarks.study.together import of_draws, truth_of_row
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json
 

@@ -4,7 +4,7 @@ A method breaks at the first value at which its relight PSNR is 3 dB or more bel
 harmless value, or the pipeline refuses the scene; and, counted by itself, at the first value at
 which its 80 % intervals hold less than 40 %, half of what they promise. Coverage is the mean over
 three kinds of unknowns (the light's harmonics, relit pixels, base colours:
-benchmarks/study/gather.py) of the share that intervals of all draws of a point hold, Student's
+benchmarks/study/together.py) of the share that intervals of all draws of a point hold, Student's
 predictive intervals for fewer than nine; one draw has none.
 """
 

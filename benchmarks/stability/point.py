@@ -52,7 +52,8 @@ def run(point: Point, methods: list[str], out: Path, most: int | None = None) ->
         try:
             chain(scene, out / "work" / point.scene)
             seeds = seeds_of(point, method, most)
-            measure(method, folder, out / "work", seeds, out / "rows", out / "draws")
+            rows = out / "rows"
+            measure(method, folder, out / "work", seeds, rows, rows, keep=out / "draws")
         except InputError as refusal:
             reason = {"scene": point.scene, "method": method, "refused": refusal.what}
             write_json(out / "rows" / point.scene / method / REFUSED, reason)

@@ -1,31 +1,35 @@
-"""The comparative study: makes a suite, runs every method on every scene, and gathers the rows.
+"""The comparative study: makes a suite, runs every method on every scene, and keeps the rows.
 
 python -m benchmarks.study --suite XS --methods split_gibbs_draft,map --out FOLDER
-python -m benchmarks.study --suite XS --out FOLDER --tables
+python -m benchmarks.study --suite XS --tables
 
-FOLDER/scenes gets the suite, FOLDER/rows one JSON file for each scene, method and seed; what is
-there is not made again, so an interrupted study goes on where it stopped. Stages up to the fit,
-which all methods share, lie in work/<scene>; they are made once, and used as they lie there.
-A method that fails leaves its message in FOLDER/rows/<scene>/<method>/failed.txt and is tried again
-by the next run; the exit status is 1 then. --tables prints the tables with intervals from the rows
-at hand, and --gather FILE writes rows and figures of several draws into one file for
-benchmarks.tables.
+ROWS/<suite>/<scene>/<method> gets one JSON file for each seed (benchmarks/study/store.py); ROWS are
+the committed rows unless --rows says another folder. What is there is not made again, so that an
+interrupted study goes on where it stopped, rows of several machines are added up by copying or
+committing them, and all rows are made anew with --rows naming an empty folder.
+
+FOLDER/scenes gets the suite, FOLDER/draws the pictures of which figures of several draws are made.
+Stages up to the fit, which all methods share, lie in work/<scene>; they are made once, and used as
+they lie there. A method that fails leaves its message in FOLDER/draws/<scene>/<method>/failed.txt
+and is tried again by the next run; the exit status is 1 then. --tables prints the tables with
+intervals from the rows at hand.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 from benchmarks.scenes import ROOT, snakemake
-from benchmarks.study.gather import gathered
 from benchmarks.study.methods import METHODS, methods_named
+from benchmarks.study.store import ROWS, row_file, suite_folder, suite_rows
 from benchmarks.study.tables import printed
+from benchmarks.study.together import join
 from benchmarks.suite.make import make_suite
 from pipeline.base.errors import run_stage
-from pipeline.base.files import write_json
 from pipeline.base.progress import progress
 
 
@@ -37,23 +41,50 @@ def prepare(folder: Path) -> None:
         snakemake(folder, targets, ["preset=draft"])
 
 
-def run(folder: Path, method: str, samples: int, out: Path) -> bool:
+def run(folder: Path, method: str, samples: int, rows: Path, draws: Path, about: dict) -> bool:
     """Rows of a method on a scene, in a process of its own; whether all are there."""
     seeds = range(samples if METHODS[method].drawn else 1)
-    rows = out / "rows" / folder.name / method
-    if all((rows / f"{seed}.json").exists() for seed in seeds):
+    if all(row_file(rows, folder.name, method, seed).exists() for seed in seeds):
         return True
     command = [sys.executable, "-m", "benchmarks.study.rows", "--photos", str(folder)]
-    command += ["--method", method, "--work", str(ROOT / "work"), "--out", str(out / "rows")]
-    command += ["--seeds", *map(str, seeds)]
+    command += ["--method", method, "--work", str(ROOT / "work")]
+    command += ["--rows", str(rows.resolve()), "--draws", str(draws.resolve())]
+    command += ["--about", json.dumps(about), "--seeds", *map(str, seeds)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    failed = rows / "failed.txt"
+    failed = draws / folder.name / method / "failed.txt"
     failed.unlink(missing_ok=True)
     if done.returncode:
-        rows.mkdir(parents=True, exist_ok=True)
+        failed.parent.mkdir(parents=True, exist_ok=True)
         failed.write_text(done.stderr[-4000:], encoding="utf-8")
         print(f"{folder.name}, {method}: failed, see {failed}", file=sys.stderr, flush=True)
     return not done.returncode
+
+
+def said(args: argparse.Namespace) -> str:
+    """The command as rows say it: with FOLDER for the folder of this machine."""
+    given = [f"--suite {args.suite}"]
+    given += [f"--scenes {args.scenes}"] if args.scenes else []
+    given += [f"--methods {args.methods}"] if args.methods else []
+    return f"python -m benchmarks.study {' '.join(given)} --samples {args.samples} --out FOLDER"
+
+
+def study(args: argparse.Namespace) -> None:
+    """Make the rows that are not there. Raises SystemExit where a method failed."""
+    methods = methods_named(args.methods.split(",")) if args.methods else list(METHODS)
+    only = args.scenes.split(",") if args.scenes else None
+    scenes = [folder.resolve() for folder in make_suite(args.suite, args.out / "scenes", only)]
+    for folder in scenes:
+        prepare(folder)
+
+    rows, draws = suite_folder(args.rows, args.suite), args.out / "draws"
+    about = {"suite": args.suite, "command": said(args), "note": args.note}
+    jobs = [(folder, method) for method in methods for folder in scenes]
+    made = []
+    for folder, method in progress(jobs, "study"):
+        made.append(run(folder, method, args.samples, rows, draws, about))
+        join(folder, method, rows, draws, about)
+    if not all(made):
+        sys.exit(f"{made.count(False)} of {len(made)} methods on scenes failed")
 
 
 def main() -> None:
@@ -62,30 +93,18 @@ def main() -> None:
     )
     parser.add_argument("--suite", default="XS")
     parser.add_argument("--scenes", help="names, with commas between; all if not given")
-    parser.add_argument("--methods", default=",".join(METHODS), help="names, with commas between")
+    parser.add_argument("--methods", help="names, with commas between; all if not given")
     parser.add_argument("--samples", type=int, default=3, help="draws of each method")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--tables", action="store_true", help="run nothing; print the tables")
-    parser.add_argument("--gather", type=Path, help="run nothing; JSON file for all rows")
+    parser.add_argument("--rows", type=Path, default=ROWS, help="the committed ones if not given")
+    parser.add_argument("--note", default="", help="what rows say besides: other jobs, say")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--out", type=Path, help="folder for scenes and pictures")
+    what.add_argument("--tables", action="store_true", help="run nothing; print the tables")
     args = parser.parse_args()
-
-    if args.tables or args.gather:
-        found = gathered(args.out)
-        if args.gather:
-            write_json(args.gather, found)
-        if args.tables:
-            print(printed(found))
-        return
-
-    methods = methods_named(args.methods.split(","))
-    only = args.scenes.split(",") if args.scenes else None
-    scenes = [folder.resolve() for folder in make_suite(args.suite, args.out / "scenes", only)]
-    for folder in scenes:
-        prepare(folder)
-    jobs = [(folder, method) for method in methods for folder in scenes]
-    made = [run(folder, m, args.samples, args.out) for folder, m in progress(jobs, "study")]
-    if not all(made):
-        sys.exit(f"{made.count(False)} of {len(made)} methods on scenes failed")
+    if args.tables:
+        print(printed(suite_rows(args.suite, args.rows)))
+    else:
+        study(args)
 
 
 if __name__ == "__main__":

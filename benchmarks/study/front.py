@@ -38,8 +38,8 @@ def relight_points(data: dict) -> list[Point]:
     out = []
     scenes = scenes_in(data)
     for method in methods_in(data):
-        mean = mean_of(data, method, "relight_psnr")
-        if mean is None:
+        mean, spent = mean_of(data, method, "relight_psnr"), seconds(data, method)
+        if mean is None or spent is None:
             continue
         values = [scene_mean(data, scene, method, "relight_psnr") for scene in scenes]
         ours = [scene_mean(data, scene, OURS, "relight_psnr") for scene in scenes]
@@ -47,17 +47,17 @@ def relight_points(data: dict) -> list[Point]:
         if None not in ours and method != OURS:
             middle, low, high = paired(np.array(values), np.array(ours))
             reach = (0.0, 0.0) if np.isnan(low) else (middle - low, high - middle)
-        out.append(Point(method, seconds(data, method) / CORES, mean, *reach))
+        out.append(Point(method, spent / CORES, mean, *reach))
     return out
 
 
 def coverage_points(data: dict) -> list[Point]:
     """Distance of the share that 80 % intervals hold from 80 %."""
-    found = {method: coverage_error(data, method) for method in methods_in(data)}
+    found = {m: (seconds(data, m), coverage_error(data, m)) for m in methods_in(data)}
     return [
-        Point(method, seconds(data, method) / CORES, error, 0, 0)
-        for method, error in found.items()
-        if error is not None
+        Point(method, spent / CORES, error, 0, 0)
+        for method, (spent, error) in found.items()
+        if spent is not None and error is not None
     ]
 
 
@@ -102,9 +102,11 @@ def speed_against(data: dict, slow: str = "dpi_paper_1000") -> str:
     """
     scenes = {row["scene"] for row in data["rows"] if row["method"] == slow}
     same = {"rows": [row for row in data["rows"] if row["scene"] in scenes]}
-    ours = [method for method in methods_in(same) if method.startswith("split_gibbs")]
-    if not ours:
-        return f"`{slow}` has no rows yet."
-    times = [f"{seconds(same, slow) / seconds(same, m):.1f} times as long as `{m}`" for m in ours]
+    spent = {method: seconds(same, method) for method in methods_in(same)}
+    ours = {m: s for m, s in spent.items() if m.startswith("split_gibbs") and s is not None}
+    theirs = spent.get(slow)
+    if theirs is None or not ours:
+        return f"`{slow}` has no rows yet whose times can be compared."
+    times = [f"{theirs / mine:.1f} times as long as `{method}`" for method, mine in ours.items()]
     count = f"{len(scenes)} scene" + "s" * (len(scenes) > 1)
     return f"On {count} `{slow}` takes {', and '.join(times)}, refinement included."

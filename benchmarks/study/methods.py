@@ -58,6 +58,8 @@ LENGTHS = {
     "dpi_paper": ("dpi_paper_10", "dpi_paper_30", "dpi_paper", "dpi_paper_300", "dpi_paper_1000"),
     "dpi_code": ("dpi_code", "dpi_code_1000"),
 }
+# what every method has to beat (benchmarks/study/yardsticks.py)
+YARDSTICKS = ("unlit", "unlit_scaled", "diffuse")
 assert {method.sampler for method in METHODS.values()} == set(SAMPLERS)
 
 
@@ -84,6 +86,6 @@ def scene_for(name: str, photos: str) -> Scene:
         "photos": photos,
         "preset": "draft",
         "sample": sample,
-        "refine": {"steps": 0, "texture": TEXTURE},
+        "refine": {"steps": 0, "texture": TEXTURE, "gloss": "maps"},
     }
     return parse_scene(own, "benchmarks.study")

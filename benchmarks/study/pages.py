@@ -1,10 +1,16 @@
-"""The study's tables and sentences on the pages, by the name between their marks."""
+"""The study's tables and sentences on the pages, by the name between their marks, from the
+committed rows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from pathlib import Path
 
+from benchmarks.study import yardstick_tables
 from benchmarks.study.front import coverage_choice, relight_choice, speed_against
+from benchmarks.study.methods import METHODS, YARDSTICKS
+from benchmarks.study.store import suite_folder, suite_rows
 from benchmarks.study.tables import (
     by_scene,
     costs,
@@ -15,15 +21,43 @@ from benchmarks.study.tables import (
     scores,
 )
 
-TABLES: dict[str, Callable[[dict], str]] = {
+
+def source(suite: str, methods: Collection[str] = METHODS) -> str:
+    """The line below a table: where the rows of these methods come from."""
+    rows = [row for row in suite_rows(suite)["rows"] if row["method"] in methods]
+    said = lambda key: dict.fromkeys(row[key] for row in rows if row[key])
+    commands = ", ".join(f"`{command}`" for command in said("command"))
+    folder = suite_folder(Path("study"), suite)
+    link = f"[{folder}](../benchmarks/results/{folder}), a file for each row"
+    made = "; ".join([commands, ", ".join(said("machine")), ", ".join(said("commit"))])
+    return f"\n<sub>{link}: {made}. {' '.join(said('note'))}</sub>\n"
+
+
+def of_suite(suite: str, make: Callable[[dict], str]) -> Callable[[], str]:
+    """A table of a suite's committed rows."""
+    return lambda: make(suite_rows(suite))
+
+
+XS: dict[str, Callable[[dict], str]] = {
     "study_scores": scores,
     "study_draws": draws,
     "study_differences": differences,
     "study_by_scene": by_scene,
     "study_levels": levels,
     "study_costs": costs,
-    "study_declarations": lambda data: declarations(),
     "study_relight_choice": lambda data: relight_choice(data) + "\n",
     "study_speed": lambda data: speed_against(data) + "\n",
     "study_coverage_choice": lambda data: coverage_choice(data) + "\n",
+    "study_source": lambda data: source("XS"),
+    "study_yardsticks": lambda data: yardstick_tables.table(data) + source("XS", YARDSTICKS),
+    "study_yardsticks_ahead": yardstick_tables.losers,
+}
+S: dict[str, Callable[[dict], str]] = {
+    "study_s_scores": scores,
+    "study_s_by_scene": lambda data: by_scene(data) + source("S"),
+}
+TABLES: dict[str, Callable[[], str]] = {
+    **{name: of_suite("XS", make) for name, make in XS.items()},
+    **{name: of_suite("S", make) for name, make in S.items()},
+    "study_declarations": declarations,
 }

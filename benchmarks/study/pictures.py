@@ -1,6 +1,6 @@
 """What methods make of a scene: its light, a held-out view, and that view under other lights.
 
-python -m benchmarks.study.pictures --out STUDY --scene xs_rounded_case__sunny_1 \\
+python -m benchmarks.study.pictures --out STUDY --suite XS --scene xs_rounded_case__sunny_1 \\
     --methods split_gibbs_draft,dpi_paper --to docs/study_xs_case.jpg
 
 STUDY is the folder of benchmarks.study. A row for the truth, then one for each method's first draw;
@@ -20,8 +20,9 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 
 from benchmarks.study.charts import STYLE
-from benchmarks.study.gather import truth_of_row
 from benchmarks.study.methods import methods_named
+from benchmarks.study.store import ROWS, row_file, suite_folder
+from benchmarks.study.together import truth_of_row
 from pipeline.base.errors import run_stage
 from pipeline.base.files import atomic_path, read_json
 from pipeline.base.images import linear_to_srgb
@@ -57,16 +58,16 @@ def true_row(truth: Truth) -> Row:
     return "truth", cells
 
 
-def row_of(rows: Path, method: str, truth: Truth) -> Row:
-    """A method's first draw, from what benchmarks.study.rows keeps."""
-    scores = read_json(rows / method / "0.json")
-    pack = np.load(rows / method / "0.npz")
-    light = tone_mapped(np.exp(pack["log_light"]))
+def row_of(row: Path, pack: Path, truth: Truth) -> Row:
+    """A method's first draw, from what benchmarks.study.rows writes."""
+    scores = read_json(row)
+    kept = np.load(pack)
+    light = tone_mapped(np.exp(kept["log_light"]))
     cells = [(light, f"{scores['scores']['light_psnr_log']:.1f} dB")]
     for name in shown_names(truth):
-        pixels = pack[f"picture/{name}"].astype(np.float32).mean(0)
+        pixels = kept[f"picture/{name}"].astype(np.float32).mean(0)
         cells.append((inside(pixels, truth.views[VIEW].mask), f"{scores['views'][name]:.1f} dB"))
-    return method, cells
+    return scores["method"], cells
 
 
 def draw(rows: list[Row], to: Path) -> None:
@@ -95,14 +96,17 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--rows", type=Path, default=ROWS, help="the committed ones if not given")
+    parser.add_argument("--suite", default="XS")
     parser.add_argument("--scene", required=True)
     parser.add_argument("--methods", required=True, help="names, with commas between")
     parser.add_argument("--to", type=Path, required=True)
     args = parser.parse_args()
+    folder, draws = suite_folder(args.rows, args.suite), args.out / "draws" / args.scene
     methods = methods_named(args.methods.split(","))
-    made = args.out / "rows" / args.scene
-    truth = truth_of_row(args.out / "scenes" / args.scene, read_json(made / methods[0] / "0.json"))
-    rows = [row_of(made, method, truth) for method in methods]
+    files = [row_file(folder, args.scene, method, 0) for method in methods]
+    truth = truth_of_row(args.out / "scenes" / args.scene, read_json(files[0]))
+    rows = [row_of(file, draws / method / "0.npz", truth) for file, method in zip(files, methods)]
     draw([true_row(truth), *rows], args.to)
 
 

@@ -1,15 +1,18 @@
 """Rows of the study: one method's draws of one scene, in a process of its own.
 
-python -m benchmarks.study.rows --photos SCENE --method split_gibbs_draft --seeds 0 1 2 --out FOLDER
+python -m benchmarks.study.rows --photos SCENE --method split_gibbs_draft --seeds 0 1 2 \\
+    --rows FOLDER/rows --draws FOLDER/draws
 
-Writes FOLDER/<scene>/<method>/<seed>.json, and <seed>.npz beside it with the pictures that figures
-of several draws together are made of. Seeds whose row is there are left alone. One thread, so that
-processor seconds are what a draw takes on an idle machine, and peak memory is the method's own.
+Writes FOLDER/rows/<scene>/<method>/<seed>.json, and below FOLDER/draws <seed>.npz with the pictures
+that figures of several draws together are made of. Seeds whose row is there are left alone. One
+thread, so that processor seconds are what a draw takes on an idle machine, and peak memory is the
+method's own. benchmarks.study is the command that runs it.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import resource
 import time
 from pathlib import Path
@@ -18,6 +21,7 @@ import numpy as np
 
 from benchmarks.scenes import machine
 from benchmarks.study.methods import METHODS, methods_named, scene_for
+from benchmarks.study.store import row_file
 from benchmarks.tables.committed import head_commit
 from pipeline.base.errors import run_stage
 from pipeline.base.files import atomic_path, write_json
@@ -96,20 +100,29 @@ def keep_pictures(path: Path, scored: Scored, x: Explanation) -> None:
 
 
 def measure(
-    method: str, photos: Path, work: Path, seeds: list[int], out: Path, keep: Path | None = None
+    method: str,
+    photos: Path,
+    work: Path,
+    seeds: list[int],
+    rows: Path,
+    draws: Path,
+    about: dict | None = None,
+    keep: Path | None = None,
 ) -> None:
-    """Write the rows that are not there; keep: folder for the draws themselves,
-    keep/<scene>/<method>/<seed>, where they are wanted.
+    """Write the rows that are not there, rows/<scene>/<method>/<seed>.json, and what figures of
+    several draws need, draws/<scene>/<method>/<seed>.npz. about: what every row says of the run
+    besides; keep: folder for the draws themselves, keep/<scene>/<method>/<seed>, where they are
+    wanted.
     """
     name = photos.name
     folders = {s: work / name / s for s in ("observe", "poses", "atlas", "mesh", "fit")}
     scene = scene_for(method, str(photos))
     truth = truth_of_work(photos, work / name)
-    rows = len(truth.known_light())
-    renderer = Renderer(folders["atlas"] / "mesh_uv.ply", scene.refine.texture, rows, MAX_DEPTH)
+    height = len(truth.known_light())
+    renderer = Renderer(folders["atlas"] / "mesh_uv.ply", scene.refine.texture, height, MAX_DEPTH)
 
     for seed in seeds:
-        file = out / name / method / f"{seed}.json"
+        file = row_file(rows, name, method, seed)
         if file.exists():
             continue
         final, cost = draw(method, scene, folders, seed)
@@ -117,20 +130,20 @@ def measure(
             final.save(keep / name / method / str(seed))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
         scored = score_explanation(renderer, final, truth, SPP)
-        keep_pictures(file.with_suffix(".npz"), scored, final)
+        keep_pictures(draws / name / method / f"{seed}.npz", scored, final)
         row = {
             "scene": name,
             "method": method,
             "seed": seed,
+            "machine": machine(),
+            "commit": head_commit(),
             "scores": scored.values,
             "views": scored.views,
             "white": truth.white,
             "cost": cost,
             "peak_gib": round(peak, 2),
-            "machine": machine(),
-            "commit": head_commit(),
         }
-        write_json(file, row)
+        write_json(file, (about or {}) | row)
 
 
 def main() -> None:
@@ -141,11 +154,15 @@ def main() -> None:
     parser.add_argument("--method", required=True)
     parser.add_argument("--seeds", type=int, nargs="+", required=True)
     parser.add_argument("--work", type=Path, default=Path("work"))
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--rows", type=Path, required=True)
+    parser.add_argument("--draws", type=Path, required=True)
+    parser.add_argument("--about", type=json.loads, default={}, help="what rows say besides, JSON")
     args = parser.parse_args()
     methods_named([args.method])
     set_threads(1)
-    measure(args.method, args.photos, args.work, args.seeds, args.out)
+    measure(
+        args.method, args.photos, args.work, args.seeds, args.rows, args.draws, about=args.about
+    )
 
 
 if __name__ == "__main__":

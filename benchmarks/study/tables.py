@@ -75,10 +75,26 @@ def mean_of(data: dict, method: str, key: str) -> float | None:
     return float(np.mean(known)) if len(known) == len(found) else None
 
 
-def seconds(data: dict, method: str) -> float:
-    """Processor seconds of a draw with its refinement, mean over scenes and draws."""
-    costs = [row["cost"] for row in data["rows"] if row["method"] == method]
-    return float(np.mean([c["sample"]["cpu_seconds"] + c["refine"]["cpu_seconds"] for c in costs]))
+def timed(data: dict, method: str) -> list[dict]:
+    """Rows whose times may be compared: those of the machine that made our own rows, or the most of
+    them, which are the reference. Empty where that machine lacks a scene.
+    """
+    of = lambda name: [row for row in data["rows"] if row["method"] == name]
+    machines = [row["machine"] for row in of(OURS)]
+    if not machines:
+        return []
+    machine = max(machines, key=machines.count)
+    rows = [row for row in of(method) if row["machine"] == machine]
+    return rows if {row["scene"] for row in rows} == set(scenes_in(data)) else []
+
+
+def seconds(data: dict, method: str) -> float | None:
+    """Processor seconds of a draw with its refinement, mean over scenes and draws; None where there
+    is no time to compare.
+    """
+    costs = [row["cost"] for row in timed(data, method)]
+    spent = [cost["sample"]["cpu_seconds"] + cost["refine"]["cpu_seconds"] for cost in costs]
+    return float(np.mean(spent)) if spent else None
 
 
 def coverage_of(data: dict, method: str, nominal: str = "80%") -> float | None:
@@ -184,10 +200,12 @@ def mean_cost(rows: list[dict], part: str, key: str) -> float:
 
 
 def costs(data: dict) -> str:
-    """Seconds, rays and memory."""
+    """Seconds, rays and memory, of the methods whose times may be compared."""
     body = []
     for method in methods_in(data):
-        rows = [row for row in data["rows"] if row["method"] == method]
+        rows = timed(data, method)
+        if not rows:
+            continue
         cells = [f"`{method}`", number(mean_cost(rows, "sample", "cpu_seconds"))]
         cells.append(number(mean_cost(rows, "refine", "cpu_seconds")))
         cells.append(number(seconds(data, method) / 2))

@@ -1,6 +1,6 @@
 """Yardsticks of the study: what the photos show as a texture, which every method has to beat.
 
-python -m benchmarks.study.yardsticks --scenes FOLDER/scenes --out rows.json
+python -m benchmarks.study.yardsticks --suite XS --out FOLDER
 
     unlit         the texture as it is, under any light
     unlit_scaled  times a factor for each channel: the new light's mean radiance over the scene's
@@ -8,8 +8,9 @@ python -m benchmarks.study.yardsticks --scenes FOLDER/scenes --out rows.json
                   that came evenly from everywhere, path traced under the new light
 
 The texture is the photos' robust mean on the study's own mesh (`benchmarks.unlit`). Means of lights
-are over solid angle, and true ones: a yardstick is told what a method has to find. Scenes are those
-of `benchmarks.study`, whose stages up to the fit are made here where they are not there.
+are over solid angle, and true ones: a yardstick is told what a method has to find. FOLDER is that
+of `benchmarks.study`; scenes, and stages up to the fit, are made here where they are not there. A
+yardstick has a row a scene among those of the methods; a scene that has all of them is passed over.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ import numpy as np
 
 from benchmarks.scenes import ROOT, machine
 from benchmarks.study.__main__ import prepare
-from benchmarks.study.methods import TEXTURE
+from benchmarks.study.methods import TEXTURE, YARDSTICKS
 from benchmarks.study.rows import SPP
+from benchmarks.study.store import ROWS, row_file, suite_folder
+from benchmarks.suite.make import make_suite
 from benchmarks.tables.committed import head_commit
 from benchmarks.unlit import bake, photo_pixels, picture
 from pipeline.base.config import Observe
@@ -36,8 +39,6 @@ from pipeline.render.observe import Observations, Tracer
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.report.score import MAX_DEPTH, picture_scores, rendered, true_pictures
 from pipeline.report.truth import Truth, truth_of_work
-
-YARDSTICKS = ("unlit", "unlit_scaled", "diffuse")
 
 
 def mean_radiance(light: np.ndarray) -> np.ndarray:
@@ -79,8 +80,8 @@ def textured(work: Path) -> np.ndarray:
     return srgb_to_linear(bake(pixels, TEXTURE)[0]).astype(np.float32)
 
 
-def rows_of_scene(work: Path, truth: Truth) -> list[dict]:
-    """The scores of all YARDSTICKS on one scene."""
+def scores_of_scene(work: Path, truth: Truth) -> dict[str, dict]:
+    """The scores of all YARDSTICKS on one scene, and of each picture."""
     texture, light = textured(work), truth.known_light()
     mesh = work / "atlas" / "mesh_uv.ply"
     tracer = Tracer(mesh)
@@ -91,28 +92,32 @@ def rows_of_scene(work: Path, truth: Truth) -> list[dict]:
         "diffuse": rendered(renderer, matt(texture, light), truth, SPP, lambda: None),
     }
     found = {name: picture_scores(shown, truth) for name, shown in pictures.items()}
-    about = {"scene": work.name, "commit": head_commit()}
-    return [
-        about | {"yardstick": name, "scores": scores, "views": views}
-        for name, (scores, views) in found.items()
-    ]
+    return {name: {"scores": scores, "views": views} for name, (scores, views) in found.items()}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--scenes", type=Path, required=True, help="folder of scene folders")
-    parser.add_argument("--out", type=Path, required=True, help="JSON file for all rows")
+    parser.add_argument("--suite", default="XS")
+    parser.add_argument("--rows", type=Path, default=ROWS, help="the committed ones if not given")
+    parser.add_argument("--note", default="", help="what rows say besides")
+    parser.add_argument("--out", type=Path, required=True, help="folder for scenes")
     args = parser.parse_args()
-    rows = []
-    # beside the scenes lie the assets and lights that they were made of
-    folders = sorted(file.parent for file in args.scenes.resolve().glob("*/transforms_test.json"))
-    for folder in progress(folders, "yardsticks"):
-        prepare(folder)
+
+    rows = suite_folder(args.rows, args.suite)
+    command = f"python -m benchmarks.study.yardsticks --suite {args.suite} --out FOLDER"
+    about = {"suite": args.suite, "command": command, "note": args.note}
+    about |= {"seed": 0, "machine": machine(), "commit": head_commit()}
+    for folder in progress(make_suite(args.suite, args.out / "scenes"), "yardsticks"):
+        files = {name: row_file(rows, folder.name, name, 0) for name in YARDSTICKS}
+        if all(file.exists() for file in files.values()):
+            continue
+        prepare(folder.resolve())
         work = ROOT / "work" / folder.name
-        rows += rows_of_scene(work, truth_of_work(folder, work))
-    write_json(args.out, {"machine": machine(), "rows": rows})
+        found = scores_of_scene(work, truth_of_work(folder, work))
+        for name, file in files.items():
+            write_json(file, about | {"scene": folder.name, "method": name} | found[name])
 
 
 if __name__ == "__main__":

@@ -15,18 +15,12 @@ from benchmarks import (
 )
 from benchmarks.stability import limits as stability
 from benchmarks.study import pages as study_pages
-from benchmarks.study import yardstick_tables
 from benchmarks.tables import committed, hardening, pairs, priors, real_sets, scenes
 from benchmarks.tables.committed import results, rows_of, source
 from benchmarks.work import tables as work_tables
 from pipeline.base.errors import InputError, nearest
 
 BETWEEN_MARKS = re.compile(r"(<!-- table: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-
-
-def study(make: Callable[[dict], str]) -> Callable[[], str]:
-    """A table of the study on suite XS, from its committed rows."""
-    return lambda: make(results("study_xs")["data"])
 
 
 def stability_cures() -> str:
@@ -54,22 +48,6 @@ def of_surfaces() -> dict[str, Callable[[], str]]:
     }
 
 
-def of_study() -> dict[str, Callable[[], str]]:
-    """Tables of the comparative study."""
-    made = study_pages.TABLES
-    small = lambda name: made[name](results("study_s")["data"])
-    beside = lambda: (results("study_xs")["data"], rows_of("study_xs_yardsticks"))
-    return {name: study(make) for name, make in made.items()} | {
-        "study_source": lambda: source("study_xs"),
-        "study_yardsticks": lambda: (
-            yardstick_tables.table(*beside()) + source("study_xs_yardsticks")
-        ),
-        "study_yardsticks_ahead": lambda: yardstick_tables.losers(*beside()),
-        "study_s_scores": lambda: small("study_scores"),
-        "study_s_by_scene": lambda: small("study_by_scene") + source("study_s"),
-    }
-
-
 def of_assets() -> dict[str, Callable[[], str]]:
     """Tables of what assets are worth, what they cost, and how far they may be relied on."""
     return {
@@ -93,7 +71,7 @@ TABLES: dict[str, Callable[[], str]] = {
     **real_sets.TABLES,
     **priors.TABLES,
     **hardening.TABLES,
-    **of_study(),
+    **study_pages.TABLES,
     **{name: stability_table(make) for name, make in stability.TABLES.items()},
     "stability_cures": stability_cures,
     **of_surfaces(),

@@ -24,6 +24,7 @@ class Metric:
     digits: int = 1
 
 
+SEEN = "sRGB in [0, 1], 67 pixels a degree"
 SRGB = "sRGB in [0, 1], noise of both renders left out"
 LINEAR = "linear Rec.709"
 FACTOR = "one factor per channel, least squares over a light's views"
@@ -32,8 +33,10 @@ METRICS: dict[str, Metric] = {
     "relight_psnr": Metric("relight PSNR", "dB", "higher", SRGB, OBJECT),
     "relight_psnr_channel": Metric("relight PSNR, aligned", "dB", "higher", SRGB, OBJECT, FACTOR),
     "relight_ssim": Metric("relight SSIM", "", "higher", "sRGB in [0, 1]", OBJECT, digits=3),
+    "relight_flip": Metric("relight FLIP", "", "lower", SEEN, OBJECT, digits=3),
     "novel_view_psnr": Metric("novel-view PSNR", "dB", "higher", SRGB, OBJECT),
     "novel_view_ssim": Metric("novel-view SSIM", "", "higher", "sRGB in [0, 1]", OBJECT, digits=3),
+    "novel_view_flip": Metric("novel-view FLIP", "", "lower", SEEN, OBJECT, digits=3),
     "albedo_mse": Metric("albedo MSE", "", "lower", LINEAR, SHOWN, digits=4),
     "albedo_mse_scalar": Metric(
         "albedo MSE, one factor", "", "lower", LINEAR, SHOWN, "one factor", 4

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 import cv2
+import flip_evaluator
 import numpy as np
 
 from pipeline.base.images import linear_to_srgb, read_exr, read_png
@@ -28,6 +29,16 @@ class PhotosAndRenderer(Protocol):
 
     observations: Observations
     renderer: Renderer
+
+
+def flip_map(picture: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """FLIP (h, w) in [0, 1] of two pictures (h, w, 3) of sRGB values in [0, 1]: how far they differ
+    to an eye to which they alternate, at 67 pixels a degree (Andersson et al. 2020, the authors'
+    code). 0 is the same.
+    """
+    pair = (np.ascontiguousarray(one, np.float32) for one in (truth, picture))
+    error, _, _ = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)
+    return error[..., 0]
 
 
 def crossed_error(

@@ -23,7 +23,7 @@ from pipeline.render.draw_metrics import crps, sample_variance
 from pipeline.render.envmap import resample_area, solid_angles
 from pipeline.render.light_metrics import light_errors, ssim_map
 from pipeline.render.map_metrics import map_errors
-from pipeline.render.metrics import psnr, render_twice
+from pipeline.render.metrics import flip_map, psnr, render_twice
 from pipeline.render.observe import Tracer
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.report.truth import MAPS, Picture, TrueView, Truth, outline_overlap
@@ -78,10 +78,22 @@ def picture_psnr(pair: np.ndarray, shown: Picture, mask: np.ndarray) -> float:
     return psnr(pair[0], shown.pixels, mask, pair[1], shown.again)
 
 
-def picture_ssim(pair: np.ndarray, shown: Picture, mask: np.ndarray) -> float:
-    """SSIM as sRGB values, mean inside the mask, black outside; of the mean of both renders."""
+def on_black(pair: np.ndarray, shown: Picture, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both pictures (h, w, 3) as sRGB values, each the mean of its renders, black outside the
+    mask.
+    """
     inside = lambda values: linear_to_srgb(np.where(mask[..., None], values, 0))
-    return float(ssim_map(inside(pair.mean(0)), inside(shown.mean))[mask].mean())
+    return inside(pair.mean(0)), inside(shown.mean)
+
+
+def picture_ssim(pair: np.ndarray, shown: Picture, mask: np.ndarray) -> float:
+    """SSIM as sRGB values, mean inside the mask."""
+    return float(ssim_map(*on_black(pair, shown, mask))[mask].mean())
+
+
+def picture_flip(pair: np.ndarray, shown: Picture, mask: np.ndarray) -> float:
+    """FLIP, mean inside the mask."""
+    return float(flip_map(*on_black(pair, shown, mask))[mask].mean())
 
 
 def channel_factor(
@@ -105,8 +117,8 @@ def picture_scores(
     of them.
     """
     true = true_pictures(truth)
-    of = {name: picture_psnr(pictures[name], true[name][1], true[name][0].mask) for name in true}
-    ssim = {name: picture_ssim(pictures[name], true[name][1], true[name][0].mask) for name in true}
+    each = lambda score: {n: score(pictures[n], true[n][1], true[n][0].mask) for n in true}
+    of, ssim, flip = each(picture_psnr), each(picture_ssim), each(picture_flip)
 
     aligned = []
     for light in truth.relights:
@@ -119,12 +131,17 @@ def picture_scores(
             for name, one, mask in zip(names, shown, masks)
         ]
     mean = lambda found, start: float(np.mean([v for k, v in found.items() if k.startswith(start)]))
-    values = {"novel_view_psnr": mean(of, "novel"), "novel_view_ssim": mean(ssim, "novel")}
+    values = {
+        "novel_view_psnr": mean(of, "novel"),
+        "novel_view_ssim": mean(ssim, "novel"),
+        "novel_view_flip": mean(flip, "novel"),
+    }
     if truth.relights:
         values |= {
             "relight_psnr": mean(of, "relight"),
             "relight_psnr_channel": float(np.mean(aligned)),
             "relight_ssim": mean(ssim, "relight"),
+            "relight_flip": mean(flip, "relight"),
         }
     return values, of
 

@@ -13,6 +13,7 @@ from pipeline.base import runtime
 
 STACK = (
     "drjit",
+    "flip-evaluator",
     "Jinja2",
     "karellen-llvm-core",
     "libusb-package",

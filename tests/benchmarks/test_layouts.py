@@ -339,4 +339,4 @@ def test_scores_without_truth_are_left_out(tmp_path, ball):
         np.ones((16, 32, 3), np.float32), np.full((16, 16, 3), 0.5, np.float32), gloss, 0 * gloss
     )
     found = score_explanation(Renderer(ball / "mesh_uv.ply", 16, 16, 3), x, truth, 4).values
-    assert set(found) == {"novel_view_psnr", "novel_view_ssim"}
+    assert set(found) == {"novel_view_psnr", "novel_view_ssim", "novel_view_flip"}

@@ -212,7 +212,12 @@ def test_what_a_set_lacks_is_not_scored_and_said(scenes, judged, ball, tmp_path)
     export(ball, [tmp_path / "sample0"], tmp_path / "ball.usda", {"preset": "draft"})
     found = score_asset(tmp_path / "ball.usda", truth, SPP)
     scores = found["samples"]["sample_0"]["scores"]
-    assert set(scores) == {"novel_view_psnr", "novel_view_ssim", "outline_overlap"}
+    assert set(scores) == {
+        "novel_view_psnr",
+        "novel_view_ssim",
+        "novel_view_flip",
+        "outline_overlap",
+    }
     assert scores["novel_view_psnr"] > 32
     text = table(found)
     assert "only novel views are scored" in text and "relight PSNR" not in text

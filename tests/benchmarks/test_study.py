@@ -1,18 +1,31 @@
 """Tables and charts of a study from rows whose figures are known."""
 
+import json
 import sys
+from itertools import combinations
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.figures import pyplot
 from benchmarks.study import __main__ as study
-from benchmarks.study.charts import LABEL_HEIGHT, apart, charts
-from benchmarks.study.front import Point, choice, front, speed_against
+from benchmarks.study.charts import chart, charts
+from benchmarks.study.front import (
+    Point,
+    choice,
+    coverage_points,
+    front,
+    relight_points,
+    speed_against,
+)
 from benchmarks.study.intervals import paired, views_of
+from benchmarks.study.labels import HEIGHT, apart, box_of
 from benchmarks.study.methods import METHODS, OURS, methods_named, scene_for
 from benchmarks.study.pictures import draw
+from benchmarks.study.store import suite_rows
 from benchmarks.study.tables import coverage_error, levels, mean_of, printed, scene_mean, seconds
+from benchmarks.study.yardstick_tables import means
 from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
 from pipeline.render.declared import METRICS
@@ -29,8 +42,9 @@ def rows_of(method: str, level: float, cost: float, scenes=("a", "b"), seeds=(0,
             views = {f"relight/x/test_{k}": level + number + 0.1 * k + seed for k in range(4)}
             views["novel/test_0"] = 40.0
             cost_of = {"sample": part, "refine": part}
-            row = {"scene": scene, "method": method, "seed": seed, "scores": scores}
-            out.append(row | {"views": views, "cost": cost_of, "peak_gib": 1.0})
+            row = {"scene": scene, "method": method, "seed": seed, "machine": "ours"}
+            row |= {"scores": scores, "views": views, "cost": cost_of, "peak_gib": 1.0}
+            out.append(row)
     return out
 
 
@@ -56,6 +70,23 @@ def test_means_are_of_scenes_and_only_where_all_have_rows(data):
     assert coverage_error(data, "map") is None
     data["rows"] = [r for r in data["rows"] if (r["scene"], r["method"]) != ("b", "map")]
     assert mean_of(data, "map", "relight_psnr") is None
+
+
+def test_times_of_two_machines_are_not_compared(data):
+    """Rows from elsewhere have scores, and times only where ours stand beside them."""
+    for row in rows_of("gaussian", 19, 1):
+        data["rows"].append(row | {"machine": "another"})
+    assert mean_of(data, "gaussian", "relight_psnr") == 19.5
+    assert seconds(data, "gaussian") is None
+    assert "gaussian" not in [point.method for point in relight_points(data)]
+    assert "| `gaussian` |  | 19.5 |" in printed(data)
+
+    elsewhere = [row | {"machine": "another"} for row in rows_of(OURS, 20, 7, seeds=(2, 3, 4))]
+    data["rows"] += elsewhere  # now the most of ours are from there
+    assert seconds(data, OURS) == 14 and seconds(data, "gaussian") == 2
+    assert seconds(data, "dpi_paper") is None
+    data["rows"] = [row for row in data["rows"] if row["method"] != OURS]
+    assert seconds(data, "gaussian") is None
 
 
 def test_tables_hold_paired_differences(data):
@@ -95,13 +126,50 @@ def test_front_is_what_nothing_beats():
     assert "`slow` (9.0 s, 20.0 dB) if its time is there, `fast` (1.0 s" in said
 
 
-def test_labels_do_not_cover_each_other():
-    heights = apart([0.5, 0.5, 0.49, 0.9])
+def ink(figure) -> np.ndarray:
+    """Pixels (h, w) that are not white."""
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3].min(-1) < 250
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("points, higher", [(relight_points, True), (coverage_points, False)])
+def test_labels_of_the_committed_charts_cross_nothing(points, higher):
+    """Their ink is where no line, bar or marker has any, and where no other label is."""
+    data = suite_rows("XS")
+    figure = chart(points(data), higher, "", "", means(data) if higher else {})
+    (axes,) = figure.axes
+    boxes = [box_of(label) for label in axes.texts]
+    for label in axes.texts:
+        label.set_color((0, 0, 0, 0))
+    drawn = ink(figure)
+
+    for artist in [*axes.lines, *axes.collections, *axes.spines.values(), axes.xaxis, axes.yaxis]:
+        artist.set_visible(False)
+    for label in axes.texts:
+        label.set_color("black")
+        if label.arrow_patch is not None:
+            label.arrow_patch.set_visible(False)
+    written = ink(figure)
+    pyplot.close(figure)
+    assert drawn.sum() > 1000 and written.sum() > 100 * len(boxes)
+    assert not (drawn & written).any()
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+
+
+def test_labels_in_a_column_do_not_cover_each_other():
+    heights = apart([0.5, 0.5, 0.49, 0.9], [])
     assert heights[2] == 0.49 and heights[3] == 0.9
-    assert min(np.diff(sorted(heights))) >= LABEL_HEIGHT - 1e-9
-    crowded = apart([0.97, 0.98, 0.99, 0.99])
-    assert min(np.diff(sorted(crowded))) >= LABEL_HEIGHT - 1e-9 and max(crowded) < 1
+    assert min(np.diff(sorted(heights))) >= HEIGHT - 1e-9
+    crowded = apart([0.97, 0.98, 0.99, 0.99], [])
+    assert min(np.diff(sorted(crowded))) >= HEIGHT - 1e-9 and max(crowded) < 1
     assert crowded[0] == min(crowded)
+    for heights in ([0.3, 0.31, 0.35], [0.3, 0.98, 0.99]):
+        clear = apart(heights, [0.31, 0.96])
+        assert min(np.diff(sorted(clear))) >= HEIGHT - 1e-9
+        assert all(
+            abs(height - line) >= HEIGHT / 2 - 1e-9 for height in clear for line in (0.31, 0.96)
+        )
 
 
 def test_speed_counts_refinement(data):
@@ -135,6 +203,7 @@ def test_every_sampler_is_a_method_and_shares_what_is_not_its_own(tmp_path):
         assert scene.sample.method == METHODS[name].sampler
         for part in ("capture", "mesh", "atlas", "observe", "render", "fit", "refine"):
             assert getattr(scene, part) == getattr(draft, part), name
+    assert draft.refine.gloss == "maps"  # as drawn: a method's own
     assert draft.sample.points == 170 and scenes["split_gibbs_standard"].sample.points == 250
     assert scenes["dpi_paper_1000"].sample.steps == 1000
     label = lambda method, light: scene_for(method, f"a/xs_vase__{light}").sample.label
@@ -148,15 +217,17 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     """Rows that are there are not made again; a method that fails leaves its message, and the study
     says at its end that it is not whole."""
     ran = []
+    rows = tmp_path / "rows" / "xs"
 
     def process(command, **options):
+        assert json.loads(command[command.index("--about") + 1]) == about
         method = command[command.index("--method") + 1]
         scene = command[command.index("--photos") + 1].rsplit("/", 1)[-1]
         ran.append((scene, method))
         failed = method == "map"
         if not failed:
             for seed in ("0", "1"):
-                write_json(tmp_path / "rows" / scene / method / f"{seed}.json", {})
+                write_json(rows / scene / method / f"{seed}.json", {"seed": int(seed)})
         return type("Done", (), {"returncode": int(failed), "stderr": "out of luck"})
 
     monkeypatch.setattr(
@@ -164,13 +235,16 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     )
     monkeypatch.setattr(study, "prepare", lambda folder: None)
     monkeypatch.setattr(study.subprocess, "run", process)
-    command = ["study", "--methods", f"{OURS},map", "--samples", "2", "--out", str(tmp_path)]
+    command = ["study", "--methods", f"{OURS},map", "--samples", "2", "--note", "busy"]
+    command += ["--rows", str(tmp_path / "rows"), "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", command)
+    said = f"python -m benchmarks.study --suite XS --methods {OURS},map --samples 2 --out FOLDER"
+    about = {"suite": "XS", "command": said, "note": "busy"}
     with pytest.raises(SystemExit, match="2 of 4 methods on scenes failed"):
         study.main()
     assert len(ran) == 4
-    assert (tmp_path / "rows" / "s" / "map" / "failed.txt").read_text() == "out of luck"
-    (tmp_path / "rows" / "t" / OURS / "1.json").unlink()
+    assert (tmp_path / "draws" / "s" / "map" / "failed.txt").read_text() == "out of luck"
+    (rows / "t" / OURS / "1.json").unlink()
     ran.clear()
     with pytest.raises(SystemExit, match="2 of 4"):
         study.main()
@@ -178,6 +252,12 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     command[2] = OURS
     study.main()
     assert len(ran) == 3
+    assert [row["seed"] for row in suite_rows("XS", tmp_path / "rows")["rows"]] == [0, 1, 0, 1]
+
+
+def test_a_suite_without_rows_is_an_error(tmp_path):
+    with pytest.raises(InputError, match="there are no rows"):
+        suite_rows("S", tmp_path)
 
 
 def test_pictures_have_a_row_for_the_truth_and_each_method(tmp_path):

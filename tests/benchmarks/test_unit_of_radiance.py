@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.study import rows
-from benchmarks.study.gather import gathered
+from benchmarks.study.together import join
 from pipeline.base.config import Capture
 from pipeline.base.files import read_json
 from pipeline.base.images import read_exr, write_exr
@@ -56,11 +56,13 @@ def test_draws_are_scored_in_the_unit_of_their_work_folder(scene, ball, tmp_path
     cost = {"sample": seconds, "refine": seconds}
     drawn = replace(x, light=x.light / white)
     monkeypatch.setattr(rows, "draw", lambda *which: (drawn, cost))
-    rows.measure(METHOD, photos, tmp_path / "work", [0, 1], tmp_path / "out" / "rows")
+    made, draws = tmp_path / "rows", tmp_path / "draws"
+    rows.measure(METHOD, photos, tmp_path / "work", [0, 1], made, draws)
 
     # what 64 paths a picture leave
-    alone = read_json(tmp_path / "out" / "rows" / "ball" / METHOD / "0.json")["scores"]
+    alone = read_json(made / "ball" / METHOD / "0.json")["scores"]
     assert alone["relight_psnr"] > 33 and abs(alone["light_level"]) < 1e-3
-    (together,) = gathered(tmp_path / "out")["together"]
+    join(photos, METHOD, made, draws, {})
+    together = read_json(made / "ball" / METHOD / "together.json")
     assert together["scores"]["relight_psnr_of_mean"] > 33
     assert together["scores"]["coverage"]["light"]["95%"] == 1

@@ -70,13 +70,16 @@ def test_a_matt_asset_shows_its_photos_in_an_even_light(truth, texture, ball):
 
 
 def test_tables_name_who_is_behind():
-    of = lambda name, db: {"scene": "a", name[0]: name[1], "scores": dict.fromkeys(KEYS, db)}
-    KEYS = ("relight_psnr", "relight_psnr_channel", "novel_view_psnr")
-    data = {"rows": [of(("method", "map"), 15.0), of(("method", "split_gibbs_draft"), 20.0)]}
-    names = ("unlit", "unlit_scaled", "diffuse")
-    rows = [of(("yardstick", name), db) for name, db in zip(names, (14.0, 16.0, 21.0))]
-    said = losers(data, rows)
+    keys = ("relight_psnr", "relight_psnr_channel", "novel_view_psnr")
+    scores = {"map": 15.0, "split_gibbs_draft": 20.0}
+    scores |= {"unlit": 14.0, "unlit_scaled": 16.0, "diffuse": 21.0}
+    rows = [
+        {"scene": "a", "method": name, "scores": dict.fromkeys(keys, level)}
+        for name, level in scores.items()
+    ]
+    data = {"rows": rows}
+    said = losers(data)
     assert "Behind `unlit`: none." in said
     assert "Behind `unlit_scaled`: on a `map`." in said
     assert "Behind `diffuse`: on a `split_gibbs_draft`, `map`." in said
-    assert "| `diffuse` | 21.0 | 21.0 | 21.0 | 2 |" in table(data, rows)
+    assert "| `diffuse` | 21.0 | 21.0 | 21.0 | 2 |" in table(data)

@@ -2,10 +2,12 @@
 
 import json
 import sys
+from pathlib import Path
 
 import pytest
 
 from benchmarks.markdown import number
+from benchmarks.study import store
 from benchmarks.tables import __main__ as command
 from benchmarks.tables import committed
 from benchmarks.tables.pages import BETWEEN_MARKS, TABLES, filled, pages
@@ -52,17 +54,28 @@ def test_every_table_stands_on_a_page():
 def test_every_file_of_rows_feeds_a_table(monkeypatch):
     read = set()
     reader = committed.read_json
-    monkeypatch.setattr(committed, "read_json", lambda path: read.add(path) or reader(path))
+    for module in (committed, store):
+        monkeypatch.setattr(module, "read_json", lambda path: read.add(path) or reader(path))
     for make in TABLES.values():
         make()
-    assert read == set(committed.RESULTS.iterdir())
+    assert read == set(committed.RESULTS.rglob("*.*"))
 
 
-@pytest.mark.parametrize("file", sorted(committed.RESULTS.iterdir()), ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", sorted(committed.RESULTS.glob("*.json")), ids=lambda f: f.stem)
 def test_rows_say_what_made_them(file):
     about = committed.results(file.stem)
     assert set(about) == {"command", "commit", "machine", "note", "data"}
     assert all(about[key] for key in ("command", "commit", "machine", "data"))
+
+
+def test_rows_of_the_study_say_what_made_them():
+    for file in store.ROWS.rglob("*.json"):
+        row = committed.read_json(file)
+        assert all(row[key] for key in ("machine", "commit", "command")), file
+        assert "note" in row, file
+        folder = store.suite_folder(store.ROWS, row["suite"]) / row["scene"] / row["method"]
+        seed = row["seed"] if "seed" in row else Path(store.TOGETHER).stem
+        assert file == folder / f"{seed}.json"
 
 
 def test_numbers_are_printed_as_the_pages_have_them():

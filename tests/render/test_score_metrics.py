@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from skimage.color import rgb2lab
 
 from pipeline.base.images import srgb_to_linear
 from pipeline.render.draw_metrics import coverage, crps, sample_variance
@@ -15,7 +16,7 @@ from pipeline.render.light_metrics import (
     sun_direction_error,
 )
 from pipeline.render.map_metrics import map_errors
-from pipeline.render.metrics import psnr
+from pipeline.render.metrics import flip_map, psnr
 from tests.seeds import numpy_rng
 
 
@@ -95,6 +96,40 @@ def test_ssim_of_constants_in_closed_form():
     a, b, c = 0.3, 0.6, 0.01**2
     found = ssim_map(np.full((20, 20, 3), a), np.full((20, 20, 3), b))
     np.testing.assert_allclose(found, (2 * a * b + c) / (a * a + b * b + c), rtol=1e-6)
+
+
+def flip_of_greys(a: float, b: float) -> float:
+    """FLIP of two even grey pictures: without edges it is the colour difference alone, here of the
+    lightness, to the power .7; up to .4 of the most that there is it takes .95 of the range.
+    """
+    lab = rgb2lab(np.array([[[0, 1, 0], [0, 0, 1], [a] * 3, [b] * 3]], float))[0]
+    lab[:, 1:] *= lab[:, :1] / 100  # chroma fades with lightness (Hunt)
+    green, blue, one, other = lab
+    city_block_and_euclid = abs(green[0] - blue[0]) + np.linalg.norm(green[1:] - blue[1:])
+    most = city_block_and_euclid**0.7
+    difference = abs(one[0] - other[0]) ** 0.7
+    if difference < 0.4 * most:
+        return 0.95 * difference / (0.4 * most)
+    return 0.95 + 0.05 * (difference - 0.4 * most) / (0.6 * most)
+
+
+@pytest.mark.parametrize("a, b", [(0, 1), (0.3, 0.6), (0.5, 0.52)])
+def test_flip_of_greys_in_closed_form(a, b):
+    found = flip_map(np.full((24, 24, 3), a), np.full((24, 24, 3), b))
+    assert found.shape == (24, 24)
+    np.testing.assert_allclose(found, flip_of_greys(a, b), atol=1e-3)
+
+
+def test_flip_is_nought_for_the_same_and_lies_where_pictures_differ():
+    rng = numpy_rng(5)
+    picture = rng.random((96, 64, 3))
+    np.testing.assert_allclose(flip_map(picture, picture), 0, atol=1e-6)
+    other = picture.copy()
+    other[:16] = 1 - other[:16]
+    found = flip_map(other, picture)
+    assert found[:16].mean() > 0.2
+    # filters of the eye's resolution reach 10 pixels at 67 pixels a degree
+    np.testing.assert_allclose(found[40:], 0, atol=1e-6)
 
 
 def test_crps_is_its_double_sum_and_that_of_a_normal():

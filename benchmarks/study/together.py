@@ -1,15 +1,17 @@
-"""Rows of a study, and the figures that several draws have together."""
+"""Figures that several draws of a scene and method have together."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.scenes import machine
 from benchmarks.study.rows import light_unknowns
-from pipeline.base.errors import InputError
-from pipeline.base.files import read_json
+from benchmarks.study.store import TOGETHER, seeds_in
+from benchmarks.tables.committed import head_commit
+from pipeline.base.files import read_json, write_json
 from pipeline.base.images import linear_to_srgb
 from pipeline.render.draw_metrics import coverage
 from pipeline.report.score import Scored, map_truth, score_draws, true_pictures
@@ -18,26 +20,35 @@ from pipeline.report.truth import Truth, load_truth
 COVERED = 500  # pixels that coverage is taken of, per scene
 
 
-def gathered(out: Path) -> dict:
-    """All rows under `out`/rows, and per scene and method what its draws say together. Raises
-    InputError where there is none.
-    """
-    files = sorted((out / "rows").glob("*/*/*.json"), key=lambda f: (f.parts[-3:-1], int(f.stem)))
-    if not files:
-        raise InputError("there are no rows", out / "rows", "run the study without --tables first")
-    rows = [read_json(file) for file in files]
+def join(scene: Path, method: str, rows: Path, draws: Path, about: dict) -> None:
+    """Write what all draws of a scene's folder and a method say together, where that is not there
+    or is of other draws; about: what the row says of the run besides.
 
-    together = []
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        of_scene = [row for row in rows if row["scene"] == scene]
-        truth = truth_of_row(out / "scenes" / scene, of_scene[0])
-        for method in dict.fromkeys(row["method"] for row in of_scene):
-            seeds = [row["seed"] for row in of_scene if row["method"] == method]
-            packs = [np.load(out / "rows" / scene / method / f"{seed}.npz") for seed in seeds]
-            if len(packs) > 1:
-                scores = of_draws(packs, truth)
-                together.append({"scene": scene, "method": method, "scores": scores})
-    return {"machine": machine(), "rows": rows, "together": together}
+    Pictures of draws are not committed. Where those of a row lie on another machine, what is there
+    stays, and a line on stderr says so.
+    """
+    place = rows / scene.name / method
+    file = place / TOGETHER
+    seeds = seeds_in(place)
+    if len(seeds) < 2 or (file.exists() and read_json(file)["seeds"] == seeds):
+        return
+
+    packs = [draws / scene.name / method / f"{seed}.npz" for seed in seeds]
+    missing = [pack for pack in packs if not pack.exists()]
+    if missing:
+        said = f"{scene.name}, {method}: draws are not joined, there is no {missing[0]}"
+        print(said, file=sys.stderr, flush=True)
+        return
+    truth = truth_of_row(scene, read_json(place / f"{seeds[0]}.json"))
+    row = {
+        "scene": scene.name,
+        "method": method,
+        "seeds": seeds,
+        "machine": machine(),
+        "commit": head_commit(),
+        "scores": of_draws([np.load(pack) for pack in packs], truth),
+    }
+    write_json(file, about | row)
 
 
 def truth_of_row(folder: Path, row: dict) -> Truth:

@@ -1,0 +1,95 @@
+"""The study's figures beside those of `heliograph score` on the same draws.
+
+python -m benchmarks.study.agreement --suite XS --methods map,split_gibbs_draft --out FOLDER
+
+FOLDER is that of `benchmarks.study`; FOLDER/agreement.json gets the rows. A method's first draw of
+a scene is made and scored as the study does it, exported, and scored from its USD alone, with as
+many paths and with twice as many. The two scores of one file differ by the path tracer's noise;
+what the first one differs from the study by is that, and what an export rounds: 8-bit textures.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.markdown import number, pipe_table
+from benchmarks.scenes import ROOT, machine
+from benchmarks.study.__main__ import prepare
+from benchmarks.study.methods import methods_named
+from benchmarks.study.rows import SPP, measure
+from benchmarks.study.store import row_file
+from benchmarks.suite.make import make_suite
+from pipeline.base.errors import run_stage
+from pipeline.base.files import read_json, write_json
+from pipeline.base.progress import progress
+from pipeline.base.runtime import set_threads
+from pipeline.render.declared import METRICS
+from pipeline.report.score import score_asset
+from pipeline.report.truth import truth_of_work
+from pipeline.usd.write import export
+
+
+def compared(scene: Path, method: str, out: Path) -> dict:
+    """Scores of a method's first draw of a scene's folder, from the study and from its export."""
+    work = ROOT / "work"
+    rows, kept = out / "agreement", out / "kept"
+    measure(method, scene, work, [0], rows, rows, keep=kept)
+    row = read_json(row_file(rows, scene.name, method, 0))
+
+    usd = out / "exports" / f"{scene.name}_{method}.usda"
+    draw = kept / scene.name / method / "0"
+    export(work / scene.name / "atlas", [draw], usd, {"sampler": method})
+    truth = truth_of_work(scene, work / scene.name)
+    score = lambda spp: score_asset(usd, truth, spp)["samples"]
+    once, twice = score(SPP), score(2 * SPP)
+    (name,) = once
+    return {
+        "scene": scene.name,
+        "method": method,
+        "commit": row["commit"],
+        "study": row["scores"],
+        "score": once[name]["scores"],
+        "score_twice": twice[name]["scores"],
+    }
+
+
+def most(rows: list[dict], key: str, one: str, other: str) -> float:
+    """The largest difference of a score between two ways to it."""
+    return max(abs(row[one][key] - row[other][key]) for row in rows)
+
+
+def table(rows: list[dict]) -> str:
+    """Every score: the largest differences over all draws."""
+    body = []
+    for key in rows[0]["study"]:
+        found = [number(float(np.mean([row["study"][key] for row in rows])), METRICS[key].digits)]
+        for ways in (("study", "score"), ("score", "score_twice")):
+            found.append(number(most(rows, key, *ways), METRICS[key].digits + 2))
+        body.append([METRICS[key].title, METRICS[key].unit, *found])
+    head = ["score", "unit", "mean", "study less `score` of the export, at most"]
+    return pipe_table([*head, "`score` with twice the paths less that, at most"], body)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--suite", default="XS")
+    parser.add_argument("--methods", default="map,split_gibbs_draft", help="with commas between")
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args()
+    set_threads(1)
+    scenes = [folder.resolve() for folder in make_suite(args.suite, args.out / "scenes")]
+    for folder in scenes:
+        prepare(folder)
+    jobs = [(folder, m) for m in methods_named(args.methods.split(",")) for folder in scenes]
+    rows = [compared(folder, method, args.out) for folder, method in progress(jobs, "agreement")]
+    write_json(args.out / "agreement.json", {"machine": machine(), "rows": rows})
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    run_stage(main)

@@ -1,0 +1,44 @@
+"""The committed rows of the study: one small file a row, so that a run is made in pieces.
+
+benchmarks/results/study/<suite>/<scene>/<method>/<seed>.json holds one draw's row; together.json
+beside it what the draws of a scene and a method say together.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from benchmarks.tables.committed import RESULTS
+from pipeline.base.errors import InputError
+from pipeline.base.files import read_json
+
+ROWS = RESULTS / "study"
+TOGETHER = "together.json"
+
+
+def suite_folder(rows: Path, suite: str) -> Path:
+    """Where the rows of a suite lie."""
+    return rows / suite.lower()
+
+
+def row_file(folder: Path, scene: str, method: str, seed: int) -> Path:
+    """A row of the suite whose rows lie in `folder`."""
+    return folder / scene / method / f"{seed}.json"
+
+
+def seeds_in(folder: Path) -> list[int]:
+    """Seeds that a scene and method have rows of, in their folder; none where it is missing."""
+    return sorted(int(file.stem) for file in folder.glob("*.json") if file.name != TOGETHER)
+
+
+def suite_rows(suite: str, rows: Path = ROWS) -> dict:
+    """`rows` of a suite, in the order of their scenes, methods and seeds, and what draws say
+    `together`. Raises InputError where there is none.
+    """
+    folder = suite_folder(rows, suite)
+    places = sorted(place for place in folder.glob("*/*") if place.is_dir())
+    found = [read_json(place / f"{seed}.json") for place in places for seed in seeds_in(place)]
+    if not found:
+        raise InputError("there are no rows", folder, "run the study without --tables first")
+    together = [place / TOGETHER for place in places if (place / TOGETHER).exists()]
+    return {"rows": found, "together": [read_json(file) for file in together]}

@@ -1,0 +1,77 @@
+"""A run of the study that was cut off goes on without making a row twice, on a tiny scene."""
+
+import pytest
+
+from benchmarks.make_scene import Options, make_scene
+from benchmarks.stability.chain import chain
+from benchmarks.study import methods, rows
+from benchmarks.study.methods import scene_for
+from benchmarks.study.store import TOGETHER, row_file, seeds_in
+from benchmarks.study.together import join
+from benchmarks.suite.lights import make_light
+from benchmarks.suite.objects import write_object
+from pipeline.base.config import Fit
+from pipeline.base.files import read_json, write_json
+from pipeline.base.images import write_exr
+
+pytestmark = pytest.mark.slow
+SIDE = 32
+
+
+@pytest.fixture
+def photos(tmp_path, monkeypatch, one_thread):
+    """The folder of a scene whose stages up to the fit lie in work/ beside it."""
+    monkeypatch.setattr(methods, "TEXTURE", SIDE)
+    write_object("vase", tmp_path / "asset", SIDE)
+    lights = [tmp_path / f"{name}.exr" for name in ("room_0", "sunny_1")]
+    for file in lights:
+        write_exr(file, make_light(file.stem, 16))
+    folder = tmp_path / "vase__room_0"
+    options = Options(size=SIDE, spp=4, views=6, test=1)
+    make_scene(tmp_path / "asset", lights[0], lights[1:], options, folder)
+    scene = scene_for("map", str(folder))
+    chain(
+        scene.model_copy(update={"fit": Fit(steps=5, texture=SIDE)}),
+        tmp_path / "work" / folder.name,
+    )
+    return folder
+
+
+def test_no_row_is_made_twice(photos, tmp_path, monkeypatch, capsys):
+    """Cut off in the third row, a run makes that one again and no other; then the draws are joined,
+    once, and stay joined where a further draw's pictures are elsewhere."""
+    drawn = []
+    draw = rows.draw
+
+    def cut_off(method, scene, folders, seed):
+        drawn.append(seed)
+        if drawn == [0, 1, 2]:
+            raise KeyboardInterrupt
+        return draw(method, scene, folders, seed)
+
+    monkeypatch.setattr(rows, "draw", cut_off)
+    kept = tmp_path / "rows"
+    place = kept / photos.name / "map"
+    run = lambda: rows.measure(
+        "map", photos, tmp_path / "work", [0, 1, 2], kept, tmp_path / "draws", {"suite": "tiny"}
+    )
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert seeds_in(place) == [0, 1]
+    before = [row_file(kept, photos.name, "map", seed).read_bytes() for seed in (0, 1)]
+
+    run()
+    run()
+    assert drawn == [0, 1, 2, 2]
+    assert [row_file(kept, photos.name, "map", seed).read_bytes() for seed in (0, 1)] == before
+    assert read_json(place / "2.json")["suite"] == "tiny"
+
+    together = lambda: join(photos, "map", kept, tmp_path / "draws", {"suite": "tiny"})
+    together()
+    assert read_json(place / TOGETHER)["seeds"] == [0, 1, 2]
+    joined = (place / TOGETHER).stat().st_mtime_ns
+    together()
+    write_json(place / "3.json", {})
+    together()
+    assert "map/3.npz" in capsys.readouterr().err
+    assert (place / TOGETHER).stat().st_mtime_ns == joined
