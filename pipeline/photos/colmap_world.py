@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.base.config import Poses
+from pipeline.base.config import Observe, Poses
 from pipeline.photos.colmap_model import names_of, read_model
 from pipeline.photos.given_cameras import (
     Lens,
@@ -72,12 +72,14 @@ def given_model(folder: Path, photos: list[dict]) -> tuple[Mapped, dict]:
 
 
 def reconstructed(
-    capture: Path, photos: list[dict], settings: Poses, threads: int
-) -> tuple[Mapped, dict]:
-    """Structure from motion of the photos that are not held out, with the others placed by it; and
-    facts.
+    capture: Path, photos: list[dict], settings: Poses, observe: Observe, threads: int
+) -> tuple[list[dict], Mapped, dict]:
+    """The photos with their `split`; structure from motion of those that are not held out, with the
+    others placed by it; and facts.
     """
-    model, names, placed, attempts = reconstruct(capture, photos, settings, threads)
+    model, names, placed, attempts, photos = reconstruct(
+        capture, photos, settings, observe, threads
+    )
     found = poses_of_model(model, names)
     for file, one in placed.items():
         found[names[file]] = lens_of_colmap(one.camera), pose_of_colmap(one.pose, file)
@@ -90,7 +92,7 @@ def reconstructed(
         "reprojection_error_px": model.compute_mean_reprojection_error(),
     }
     sights = {names[file]: one.points for file, one in placed.items()}
-    return Mapped(model, names, found, sights), facts
+    return photos, Mapped(model, names, found, sights), facts
 
 
 def sightings(mapped: Mapped, kept: list[dict]) -> tuple[dict[int, int], dict[int, list[int]]]:

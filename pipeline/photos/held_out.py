@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from pipeline.base.config import Observe
 
@@ -20,11 +21,19 @@ if TYPE_CHECKING:
     import pycolmap
 
 FEWEST_MATCHES = 15  # points that a pose found from them must agree with
+# points in common that connect two photos: as many as mapping needs, up to safely more
+CONNECTIONS = 15, 30, 60, 120
 
 
-def hold_out(photos: list[dict], settings: Observe) -> list[dict]:
+def hold_out(
+    photos: list[dict], settings: Observe, matches: np.ndarray | None = None
+) -> list[dict]:
     """The photos (photos.json) with those held out marked: `split` "test". The scene's own test
-    photos, else a random share of all (at least one from 8 photos on), the same in every run.
+    photos, else a random share of all (at least one from 8 photos on).
+
+    matches (n, n): how many points photos have in common. A photo without which the others no
+    longer hang together stays with them, and another one is held out in its place; with few
+    connections fewer are.
     """
     names = [p["name"] for p in photos if p["split"] == "fit"]
     if len(names) < len(photos) or settings.held_out == 0:
@@ -32,8 +41,52 @@ def hold_out(photos: list[dict], settings: Observe) -> list[dict]:
 
     least = 1 if len(names) >= 8 else 0
     count = max(round(settings.held_out * len(names)), least)
-    chosen = np.random.default_rng(0).choice(names, count, replace=False).tolist()
+    rng = np.random.default_rng(0)
+    first = rng.choice(len(names), count, replace=False)
+    others = rng.permutation(np.setdiff1d(np.arange(len(names)), first))
+    candidates = [int(k) for k in (*first, *others)]
+    out = candidates[:count] if matches is None else spared(matches, candidates, count)
+    chosen = {names[k] for k in out}
     return [p | {"split": "test" if p["name"] in chosen else "fit"} for p in photos]
+
+
+def spared(matches: np.ndarray, candidates: list[int], count: int) -> list[int]:
+    """The first `count` of the candidates without which the other photos make no more groups than
+    all photos do, whatever number of CONNECTIONS connects two. matches (n, n).
+    """
+    everyone = np.arange(len(matches))
+    most = groups(matches)
+    out: list[int] = []
+    for one in candidates:
+        if len(out) == count:
+            break
+        rest = np.setdiff1d(everyone, [*out, one])
+        if (groups(matches[np.ix_(rest, rest)]) <= most).all():
+            out.append(one)
+    return out
+
+
+def groups(matches: np.ndarray) -> np.ndarray:
+    """Into how many groups photos fall where so many of CONNECTIONS connect two."""
+    return np.array([connected_components(matches >= least)[0] for least in CONNECTIONS])
+
+
+def matches_between(database: Path, files: list[str]) -> np.ndarray:
+    """How many points two images have in common, by COLMAP's verified matches: (n, n) in the order
+    of their names `files`.
+    """
+    import pycolmap
+
+    out = np.zeros((len(files), len(files)), int)
+    with pycolmap.Database.open(str(database)) as db:
+        number = {image.name: image.image_id for image in db.read_all_images()}
+        ids = [number[file] for file in files]
+        for k, one in enumerate(ids):
+            for j, other in enumerate(ids[:k]):
+                if db.exists_two_view_geometry(one, other):
+                    common = db.read_two_view_geometry(one, other).inlier_matches
+                    out[k, j] = out[j, k] = len(common)
+    return out
 
 
 @dataclass

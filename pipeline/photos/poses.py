@@ -82,8 +82,7 @@ def _posed(
         known = hold_out([p for p in photos if p["name"] in mapped.found], held_out)
         photos = known + [p for p in photos if p["name"] not in mapped.found]
     else:
-        photos = hold_out(photos, held_out)
-        mapped, facts = reconstructed(capture, photos, settings, threads)
+        photos, mapped, facts = reconstructed(capture, photos, settings, held_out, threads)
     posed = upright(mapped, photos, capture, settings)
     return photos, replace(posed, facts=facts | posed.facts)
 

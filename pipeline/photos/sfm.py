@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
-from pipeline.base.config import Poses
+from pipeline.base.config import Observe, Poses
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, to_srgb8
 from pipeline.base.progress import progress
 from pipeline.geometry.cameras import View
-from pipeline.photos.held_out import Placed, place, without_matches
+from pipeline.photos.held_out import Placed, hold_out, matches_between, place, without_matches
 
 if TYPE_CHECKING:
     import pycolmap
@@ -29,6 +29,7 @@ HINT = (
     "without zooming or moving the object"
 )
 SEED = 0  # of all tries of the poses stage
+EVERY_PHOTO = 1 << 20  # that models may share
 EXIF_IFD = 0x8769
 FOCAL_35MM = 0xA405
 
@@ -179,17 +180,10 @@ def _largest(
     return best, sorted((m.num_reg_images() for m in models.values()), reverse=True)
 
 
-def _attempt(
-    folder: Path,
-    tag: str,
-    count: int,
-    cameras: int,
-    held_out: list[str],
-    settings: Poses,
-    threads: int,
-) -> tuple[pycolmap.Reconstruction | None, dict]:
-    """One run of extraction, matching and mapping; the model with most images, or None. Files
-    `held_out` are matched and not mapped.
+def _matched(
+    folder: Path, tag: str, count: int, cameras: int, settings: Poses, threads: int
+) -> tuple[Path, str]:
+    """The database of an attempt with all photos' features and matches, and what was matched.
 
     Neighbours in COLMAP's sequence are those of one camera, so more of the photos are matched with
     all others where there are several.
@@ -198,8 +192,8 @@ def _attempt(
 
     thorough = tag == "thorough"
     database = folder / f"{tag}.db"
-    images = folder / "images"
     _say("features", tag)
+    images = folder / "images"
     _extract(database, images, settings, thorough, threads, pycolmap.CameraMode.PER_FOLDER)
 
     _say("matching", tag)
@@ -208,19 +202,29 @@ def _attempt(
     else:
         exhaustive = settings.matching == "exhaustive"
     _match(database, exhaustive, thorough, threads)
+    return database, "exhaustive" if exhaustive else "sequential"
+
+
+def _mapped(
+    database: Path, tag: str, held_out: list[str], threads: int
+) -> tuple[pycolmap.Reconstruction | None, list[int]]:
+    """The largest model that an attempt makes of the database's photos without the files
+    `held_out`, or None; and the sizes of all.
+    """
+    import pycolmap
 
     _say("mapping", tag)
-    options = _mapper_options(pycolmap.IncrementalPipelineOptions(), threads)
-    models = pycolmap.incremental_mapping(
-        _to_map(database, held_out), images, folder / tag, options
-    )
+    folder = database.parent / tag
+    folder.mkdir()
+    inputs = _to_map(database, held_out), database.parent / "images", folder
+    if tag == "global":
+        options = _mapper_options(pycolmap.GlobalPipelineOptions(), threads)
+        return _largest(pycolmap.global_mapping(*inputs, options))
 
-    best, registered = _largest(models)
-    return best, {
-        "attempt": tag,
-        "matching": "exhaustive" if exhaustive else "sequential",
-        "models": registered,
-    }
+    options = _mapper_options(pycolmap.IncrementalPipelineOptions(), threads)
+    # else a model ends where it shares 20 photos with those that a bad start has cut short
+    options.max_model_overlap = EVERY_PHOTO
+    return _largest(pycolmap.incremental_mapping(*inputs, options))
 
 
 def _to_map(database: Path, held_out: list[str]) -> Path:
@@ -232,33 +236,19 @@ def _to_map(database: Path, held_out: list[str]) -> Path:
     return copy
 
 
-def _global_attempt(
-    folder: Path, held_out: list[str], settings: Poses, threads: int
-) -> tuple[pycolmap.Reconstruction | None, dict]:
-    """Global mapping (GLOMAP) of the matches that the thorough attempt found."""
-    import pycolmap
-
-    _say("mapping", "global")
-    options = _mapper_options(pycolmap.GlobalPipelineOptions(), threads)
-    (folder / "global").mkdir()
-    database = _to_map(folder / "thorough.db", held_out)
-    models = pycolmap.global_mapping(database, folder / "images", folder / "global", options)
-
-    best, registered = _largest(models)
-    return best, {"attempt": "global", "models": registered}
-
-
 def registered_images(model: pycolmap.Reconstruction | None) -> int:
     """How many images a model holds; 0 for None."""
     return 0 if model is None else model.num_reg_images()
 
 
 def reconstruct(
-    capture: Path, photos: list[dict], settings: Poses, threads: int
-) -> tuple[pycolmap.Reconstruction, dict[str, str], dict[str, Placed], list[dict]]:
-    """(pycolmap Reconstruction of the photos whose `split` is "fit", file name -> photo name, the
-    others as far as they could be placed by file name, attempts). InputError when too few photos
-    connect.
+    capture: Path, photos: list[dict], settings: Poses, observe: Observe, threads: int
+) -> tuple[pycolmap.Reconstruction, dict[str, str], dict[str, Placed], list[dict], list[dict]]:
+    """(pycolmap Reconstruction of the photos that are not held out, file name -> photo name, the
+    others as far as they could be placed by file name, attempts, the photos with their `split`).
+
+    Photos are held out once the first matches say which of them the others can do without
+    (`hold_out`). Raises InputError when too few photos connect.
     """
     import pycolmap
 
@@ -268,26 +258,24 @@ def reconstruct(
         folder = Path(temporary)
         (folder / "images").mkdir()
         names, cameras = write_inputs(capture, photos, folder / "images", settings)
-        split = {p["name"]: p["split"] for p in photos}
-        held_out = [file for file, name in names.items() if split[name] == "test"]
-        count = len(photos) - len(held_out)
+        files = list(names)  # in the order of the photos
 
-        best = None
-        matched = folder / "plain.db"
+        best, found_in = None, None
         attempts = []
         for tag in ("plain", "thorough", "global"):
-            if tag == "global":
-                model, facts = _global_attempt(folder, held_out, settings, threads)
-            else:
-                (folder / tag).mkdir()
-                model, facts = _attempt(
-                    folder, tag, len(photos), cameras, held_out, settings, threads
-                )
-            attempts.append(facts | {"cameras": cameras})
+            facts: dict = {"attempt": tag, "cameras": cameras}
+            if tag != "global":  # which maps the matches of the thorough one
+                database, how = _matched(folder, tag, len(photos), cameras, settings, threads)
+                facts["matching"] = how
+            if tag == "plain":
+                photos = hold_out(photos, observe, matches_between(database, files))
+                held_out = [f for f, p in zip(files, photos) if p["split"] == "test"]
+                count = len(photos) - len(held_out)
+            model, facts["models"] = _mapped(database, tag, held_out, threads)
+            attempts.append(facts)
 
             if registered_images(model) > registered_images(best):
-                best = model
-                matched = folder / ("plain.db" if tag == "plain" else "thorough.db")
+                best, found_in = model, database
             registered = registered_images(best)
             if registered and registered >= settings.min_registered * count:
                 break
@@ -296,7 +284,7 @@ def reconstruct(
                 file=sys.stderr,
                 flush=True,
             )
-        placed = {} if best is None else place(matched, best, held_out)
+        placed = {} if found_in is None or best is None else place(found_in, best, held_out)
 
     if best is None or registered < max(3, 0.5 * count):
         raise InputError(
@@ -305,7 +293,7 @@ def reconstruct(
             capture.parent.name,
             HINT,
         )
-    return best, names, placed, attempts
+    return best, names, placed, attempts, photos
 
 
 def sparse_points(

@@ -10,7 +10,7 @@ import pytest
 from pipeline.base.config import Masks, Mesh, Observe
 from pipeline.base.images import read_png, write_exr, write_png
 from pipeline.geometry.cameras import Rig, load_cameras, save_cameras
-from pipeline.photos.held_out import hold_out, place, without_matches
+from pipeline.photos.held_out import hold_out, matches_between, place, without_matches
 from pipeline.photos.photometry import gains
 from tests.seeds import numpy_rng
 
@@ -33,6 +33,39 @@ def test_a_random_share_is_held_out(count, share, expected):
 def test_nothing_is_held_out_where_that_is_asked_for_and_test_photos_of_the_users_suffice():
     assert held(hold_out(photos(30), Observe(held_out=0))) == []
     assert held(hold_out(photos(30, 2), Observe(held_out=0.5))) == ["v0", "v1"]
+
+
+def two_halves(count: int, bridges: list[int]) -> np.ndarray:
+    """Points in common of photos in two halves, all of either alike; `bridges` show both."""
+    half = np.arange(count) < count // 2
+    matches = np.where(half[:, None] == half, 200, 0)
+    matches[bridges] = matches[:, bridges] = 40
+    np.fill_diagonal(matches, 0)
+    return matches
+
+
+@pytest.mark.parametrize("bridges", [[4], [4, 15]])
+def test_the_last_photo_that_connects_two_halves_is_not_held_out(bridges):
+    """Whichever the share; one of two may be, and as many others as were asked for are."""
+    marked = photos(20)
+    for share in (0.1, 0.3, 0.5):
+        out = held(hold_out(marked, Observe(held_out=share), two_halves(20, bridges)))
+        assert len(out) == round(share * 20)
+        assert set(out) < {p["name"] for p in marked} and not {f"v{k}" for k in bridges} <= set(out)
+
+
+def test_photos_that_match_well_are_held_out_as_without_matches():
+    marked = photos(30)
+    well = np.full((30, 30), 500)
+    assert held(hold_out(marked, Observe(), well)) == held(hold_out(marked, Observe()))
+
+
+def test_a_chain_gives_its_ends_only():
+    """Each photo connects its neighbours alone: what is held out is cut off from an end."""
+    chain = 200 * (np.abs(np.subtract.outer(np.arange(12), np.arange(12))) == 1)
+    out = {int(name[1:]) for name in held(hold_out(photos(12), Observe(held_out=0.25), chain))}
+    rest = sorted(set(range(12)) - out)
+    assert len(out) == 3 and rest == list(range(rest[0], rest[-1] + 1))
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +102,18 @@ def test_a_held_out_photo_is_placed_by_the_others_and_makes_none_of_their_points
     seen = np.array([placed.camera.img_from_cam(placed.pose * p) for p in xyz])
     apart = np.linalg.norm(seen[:, None] - pixels, axis=-1).min(1)
     assert len(xyz) > 50 and np.median(apart) < 0.5
+
+
+def test_matches_are_those_of_the_database(matched):
+    """Of nine photos with exact matches: a point that two show is in common."""
+    database, truth = matched
+    images = sorted((i for i in truth.images.values()), key=lambda image: image.name)
+    shown = [{p.point3D_id for p in i.points2D if p.has_point3D()} for i in images]
+    found = matches_between(database, [image.name for image in images])
+    assert (found == found.T).all() and (np.diag(found) == 0).all()
+    for k, one in enumerate(shown):
+        for j, other in enumerate(shown[:k]):
+            assert found[k, j] == len(one & other)
 
 
 def test_a_photo_that_matches_nothing_is_not_placed(matched, tmp_path):
