@@ -109,7 +109,17 @@ def test_lights_are_made_once_and_others_refused(tmp_path):
     assert lights.codes.shape == (6, 3, 8, 16)
     assert float(lights.codes.mean()) == pytest.approx(0, abs=1e-5)
     assert float(lights.codes.std()) == pytest.approx(0.5, abs=0.02)
-    assert lights.turned(5, numpy_rng(0)).shape == (5, 3, 8, 16)
+
+
+def test_a_turned_view_is_rolled_and_one_in_two_mirrored():
+    """All eight of a view of four columns come, and no other: one of them is missing among 200 with
+    a chance of 2e-11.
+    """
+    view = torch.arange(24.0).reshape(3, 2, 4)
+    rolled = [view.roll(k, -1) for k in range(4)]
+    possible = {tuple(x.flatten().tolist()) for x in [*rolled, *(x.flip(-1) for x in rolled)]}
+    found = MadeLights(view[None], CODE).turned(200, numpy_rng(0))
+    assert {tuple(x.flatten().tolist()) for x in found} == possible and len(possible) == 8
 
 
 @pytest.mark.slow
