@@ -120,11 +120,9 @@ def test_direct_light_is_the_same_problem_without_bounces(problem):
 
 @pytest.mark.parametrize("name", ["direct_light", "split_sum"])
 def test_samplers_explain_the_photos_better_than_where_they_begin(problem, start, name):
-    settings = Sample(
-        prior="prior_tiny", light=16, steps=25, pixels=400, spp=2, texture=32, seed=seeded(0)
-    )
+    settings = Sample(prior="prior_tiny", light=16, steps=25, pixels=400, spp=2, texture=32)
     bare = Problem(problem.observations, Renderer(problem.renderer.mesh, 32, 16, 3), 0.1)
     begin = material(0.5, 0.05, np.full((32, 64, 3), start[0].light.mean()))
-    x, facts = SAMPLERS[name](bare, load_prior("prior_tiny"), begin, settings, 0)
+    x, facts = SAMPLERS[name](bare, load_prior("prior_tiny"), begin, settings, seeded(0))
     assert facts["loss_last"] < 0.7 * facts["loss_first"]
     assert x.light.shape == (16, 32, 3) and (x.light > 0).all()
