@@ -10,14 +10,20 @@ from benchmarks.tables.committed import by_scene, nested, source
 
 # Columns of the real sets: heading, keys in a row, digits.
 REAL_SETS: list[tuple[str, tuple[str, ...], int]] = [
-    ("unlit dB", ("unlit_psnr",), 1),
-    ("lit dB", ("lit_psnr",), 1),
-    ("lit over unlit dB", ("gain",), 1),
+    ("unlit dB", ("unlit_psnr",), 2),
+    ("lit dB", ("lit_psnr",), 2),
+    ("lit over unlit dB", ("gain",), 2),
     ("charts", ("charts",), 0),
     ("utilisation", ("utilisation",), 2),
     ("mesh s", ("mesh_seconds",), 0),
     ("mesh, processor s", ("cpu_seconds", "mesh"), 0),
 ]
+# And of every sample: heading, its key, digits.
+OF_SAMPLES = {
+    "lit dB, a sample each": ("psnr", 2),
+    "share of metal": ("metallic_share_above_half", 2),
+    "median roughness": ("roughness_median", 2),
+}
 REAL_TRUTH: list[tuple[str, tuple[str, ...], int]] = [
     ("F-score at 1 %", ("truth", "f1_at_1_percent_of_size"), 3),
     ("at .5 %", ("truth", "f1_at_half_percent"), 3),
@@ -29,8 +35,8 @@ REAL_TRUTH: list[tuple[str, tuple[str, ...], int]] = [
 
 
 def real_set_rows() -> list[tuple[str, str, dict]]:
-    """(set, "before" or "now", row) of every set: rows of the version before real photos were
-    worked on, and of the present one, as far as it has been measured.
+    """(set, "before" or "now", row) of every set: rows of the version whose masks, surface and
+    textures saw the held-out photos and whose gloss was kept as drawn, and of the present one.
     """
     found = {"before": by_scene("real_sets_before")}
     if (committed.RESULTS / "real_sets.json").exists():
@@ -55,11 +61,11 @@ def real_sets() -> str:
     body = []
     for scene, when, row in real_set_rows():
         if "failed" in row:
-            body.append([scene, when, row["failed"]] + [""] * (len(REAL_SETS) + 1))
+            body.append([scene, when, row["failed"]] + [""] * (len(REAL_SETS) + len(OF_SAMPLES) - 1))
             continue
         cells = [number(nested(row, *keys), digits) for _, keys, digits in REAL_SETS]
-        for key in ("metallic_median", "roughness_median"):
-            cells.append(", ".join(number(sample[key], 2) for sample in row["samples"]))
+        for key, digits in OF_SAMPLES.values():
+            cells.append(", ".join(number(sample[key], digits) for sample in row["samples"]))
         body.append([scene, when, *cells])
     means = []
     times = list(dict.fromkeys(when for _, when, _ in real_set_rows()))
@@ -71,9 +77,9 @@ def real_sets() -> str:
             number(float(np.mean([nested(row, *k) for row in rows])), d)
             for _, k, d in REAL_SETS[:3]
         ]
-        means.append([f"mean of {len(rows)}", when, *cells] + [""] * (len(REAL_SETS) - 1))
+        means.append([f"mean of {len(rows)}", when, *cells] + [""] * (len(REAL_SETS) + len(OF_SAMPLES) - 3))
     head = ["set", "", *(heading for heading, *_ in REAL_SETS)]
-    head += ["median metallic, a sample each", "median roughness"]
+    head += list(OF_SAMPLES)
     return pipe_table(head, body + means) + real_set_source()
 
 
