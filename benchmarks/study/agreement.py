@@ -2,10 +2,11 @@
 
 python -m benchmarks.study.agreement --suite XS --methods map,split_gibbs_draft --out FOLDER
 
-FOLDER is that of `benchmarks.study`; FOLDER/agreement.json gets the rows. A method's first draw of
+FOLDER is that of `benchmarks.study`; FOLDER/agreement.json gets the rows, each of which lies in a
+file below FOLDER/agreement first, so that a run that was cut off goes on. A method's first draw of
 a scene is made and scored as the study does it, exported, and scored from its USD alone, with as
 many paths and with twice as many. The two scores of one file differ by the path tracer's noise;
-what the first one differs from the study by is that, and what an export rounds: 8-bit textures.
+what the first one differs from the study by is what an export rounds, 8-bit textures.
 """
 
 from __future__ import annotations
@@ -13,11 +14,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import numpy as np
-
-from benchmarks.markdown import number, pipe_table
 from benchmarks.scenes import ROOT, machine
 from benchmarks.study.__main__ import prepare
+from benchmarks.study.agreement_table import table
 from benchmarks.study.methods import methods_named
 from benchmarks.study.rows import SPP, measure
 from benchmarks.study.store import row_file
@@ -26,16 +25,20 @@ from pipeline.base.errors import run_stage
 from pipeline.base.files import read_json, write_json
 from pipeline.base.progress import progress
 from pipeline.base.runtime import set_threads
-from pipeline.render.declared import METRICS
 from pipeline.report.score import score_asset
 from pipeline.report.truth import truth_of_work
 from pipeline.usd.write import export
 
 
 def compared(scene: Path, method: str, out: Path) -> dict:
-    """Scores of a method's first draw of a scene's folder, from the study and from its export."""
+    """Scores of a method's first draw of a scene's folder, from the study and from its export; kept
+    in a file of their own, and not made again.
+    """
     work = ROOT / "work"
     rows, kept = out / "agreement", out / "kept"
+    file = rows / scene.name / f"{method}.json"
+    if file.exists():
+        return read_json(file)
     measure(method, scene, work, [0], rows, rows, keep=kept)
     row = read_json(row_file(rows, scene.name, method, 0))
 
@@ -46,31 +49,10 @@ def compared(scene: Path, method: str, out: Path) -> dict:
     score = lambda spp: score_asset(usd, truth, spp)["samples"]
     once, twice = score(SPP), score(2 * SPP)
     (name,) = once
-    return {
-        "scene": scene.name,
-        "method": method,
-        "commit": row["commit"],
-        "study": row["scores"],
-        "score": once[name]["scores"],
-        "score_twice": twice[name]["scores"],
-    }
-
-
-def most(rows: list[dict], key: str, one: str, other: str) -> float:
-    """The largest difference of a score between two ways to it."""
-    return max(abs(row[one][key] - row[other][key]) for row in rows)
-
-
-def table(rows: list[dict]) -> str:
-    """Every score: the largest differences over all draws."""
-    body = []
-    for key in rows[0]["study"]:
-        found = [number(float(np.mean([row["study"][key] for row in rows])), METRICS[key].digits)]
-        for ways in (("study", "score"), ("score", "score_twice")):
-            found.append(number(most(rows, key, *ways), METRICS[key].digits + 2))
-        body.append([METRICS[key].title, METRICS[key].unit, *found])
-    head = ["score", "unit", "mean", "study less `score` of the export, at most"]
-    return pipe_table([*head, "`score` with twice the paths less that, at most"], body)
+    found = {"scene": scene.name, "method": method, "commit": row["commit"]}
+    found |= {"study": row["scores"], "score": once[name]["scores"]}
+    write_json(file, found | {"score_twice": twice[name]["scores"]})
+    return read_json(file)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from benchmarks.study import yardstick_tables
+from benchmarks.study import agreement_table, yardstick_tables
 from benchmarks.study.front import coverage_choice, relight_choice, speed_against
 from benchmarks.study.methods import METHODS, YARDSTICKS
 from benchmarks.study.store import suite_folder, suite_rows
@@ -20,6 +20,7 @@ from benchmarks.study.tables import (
     levels,
     scores,
 )
+from benchmarks.tables import committed
 
 
 def source(suite: str, methods: Collection[str] = METHODS) -> str:
@@ -60,4 +61,8 @@ TABLES: dict[str, Callable[[], str]] = {
     **{name: of_suite("XS", make) for name, make in XS.items()},
     **{name: of_suite("S", make) for name, make in S.items()},
     "study_declarations": declarations,
+    "study_agreement": lambda: (
+        agreement_table.table(committed.rows_of("study_agreement"))
+        + committed.source("study_agreement")
+    ),
 }

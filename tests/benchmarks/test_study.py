@@ -10,6 +10,7 @@ from PIL import Image
 
 from benchmarks.figures import pyplot
 from benchmarks.study import __main__ as study
+from benchmarks.study.agreement_table import most, table
 from benchmarks.study.charts import chart, charts
 from benchmarks.study.front import (
     Point,
@@ -253,6 +254,14 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     study.main()
     assert len(ran) == 3
     assert [row["seed"] for row in suite_rows("XS", tmp_path / "rows")["rows"]] == [0, 1, 0, 1]
+
+
+def test_agreement_is_the_largest_difference_over_draws():
+    of = lambda *values: dict(zip(("study", "score", "score_twice"), values))
+    scores = [of(20.0, 20.01, 20.03), of(18.0, 17.97, 18.0)]
+    rows = [{way: {"relight_psnr": v} for way, v in draw.items()} for draw in scores]
+    assert "| relight PSNR | dB | 19.0 | .030 | .030 |" in table(rows)
+    assert most(rows, "relight_psnr", "study", "score_twice") == pytest.approx(0.03)
 
 
 def test_a_suite_without_rows_is_an_error(tmp_path):
