@@ -58,10 +58,11 @@ def real_set_source() -> str:
 
 def real_sets() -> str:
     """Relightable assets from real photos beside the plain textured mesh."""
+    columns = len(REAL_SETS) + len(OF_SAMPLES)
     body = []
     for scene, when, row in real_set_rows():
         if "failed" in row:
-            body.append([scene, when, row["failed"]] + [""] * (len(REAL_SETS) + len(OF_SAMPLES) - 1))
+            body.append([scene, when, row["failed"]] + [""] * (columns - 1))
             continue
         cells = [number(nested(row, *keys), digits) for _, keys, digits in REAL_SETS]
         for key, digits in OF_SAMPLES.values():
@@ -77,7 +78,7 @@ def real_sets() -> str:
             number(float(np.mean([nested(row, *k) for row in rows])), d)
             for _, k, d in REAL_SETS[:3]
         ]
-        means.append([f"mean of {len(rows)}", when, *cells] + [""] * (len(REAL_SETS) + len(OF_SAMPLES) - 3))
+        means.append([f"mean of {len(rows)}", when, *cells] + [""] * (columns - len(cells)))
     head = ["set", "", *(heading for heading, *_ in REAL_SETS)]
     head += list(OF_SAMPLES)
     return pipe_table(head, body + means) + real_set_source()

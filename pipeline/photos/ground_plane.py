@@ -47,9 +47,9 @@ def ground_plane(
 
     A ground plane has its normal within 40 degrees of the cameras' mean up, all cameras above it,
     and at least 12 % of the nearer points, or, like white paper with little to match on it, 4 % and
-    at most 3 % below: wrong matches lie anywhere. The score is the share of inliers less twice the share of points well
-    below. A general RANSAC counts inliers alone and finds a wall or a slope where the ground has
-    little texture.
+    at most 3 % below: wrong matches lie anywhere. The score is the share of inliers less twice the
+    share of points well below. A general RANSAC counts inliers alone and finds a wall or a slope
+    where the ground has little texture.
 
     A fine tolerance comes first, and must leave next to nothing below: seen from afar, a slope
     through a low object holds more points within the coarse one than the ground it stands on.

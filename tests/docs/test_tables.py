@@ -101,7 +101,7 @@ def test_figures_in_which_the_other_is_better_or_equal_are_all_named(house):
 
 
 def test_real_sets_stand_before_and_now(house):
-    sample = {"metallic_median": 0.94, "roughness_median": 0.5}
+    sample = {"psnr": 18.4, "metallic_share_above_half": 0.94, "roughness_median": 0.5}
     lego = {"scene": "lego", "unlit_psnr": 18.9, "lit_psnr": 18.4, "gain": -0.5, "charts": 1480}
     lego |= {"samples": [sample, sample], "truth": {"normal_error_median_degrees": 12.5}}
     failed = {"scene": "axe", "failed": "exit status 1"}
@@ -111,13 +111,13 @@ def test_real_sets_stand_before_and_now(house):
     head, _, *body = [line.split(" | ") for line in in_table(real_sets())]
     assert {len(line) for line in body} == {len(head)}
     assert [line[:5] for line in body] == [
-        ["| lego", "before", "18.9", "18.4", "-0.5"],
-        ["| lego", "now", "18.9", "20.4", "1.5"],
+        ["| lego", "before", "18.90", "18.40", "-0.50"],
+        ["| lego", "now", "18.90", "20.40", "1.50"],
         ["| axe", "before", "exit status 1", "", ""],
-        ["| mean of 1", "before", "18.9", "18.4", "-0.5"],
-        ["| mean of 1", "now", "18.9", "20.4", "1.5"],
+        ["| mean of 1", "before", "18.90", "18.40", "-0.50"],
+        ["| mean of 1", "now", "18.90", "20.40", "1.50"],
     ]
-    assert ".94, .94" in body[0]
+    assert ".94, .94" in body[0] and "18.40, 18.40" in body[0]
     assert [line.split(" | ")[1] for line in in_table(real_sets_truth())[2:]] == ["before"]
 
 
