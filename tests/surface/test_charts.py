@@ -20,11 +20,12 @@ from tests.seeds import numpy_rng
 SQUARE = (np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def lumpy_ball():
-    ico = import_open3d().geometry.TriangleMesh.create_icosahedron().subdivide_loop(3)
+def lumpy_ball(subdivisions=3, lumps=0.02):
+    """A ball whose vertices are moved in and out by `lumps` of its radius, each by itself."""
+    ico = import_open3d().geometry.TriangleMesh.create_icosahedron().subdivide_loop(subdivisions)
     vertices = np.asarray(ico.vertices)
     vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
-    vertices = vertices * (1 + numpy_rng(0).normal(0, 0.02, (len(vertices), 1)))
+    vertices = vertices * (1 + numpy_rng(0).normal(0, lumps, (len(vertices), 1)))
     faces = np.asarray(ico.triangles).astype(np.int64)
     return Mesh(vertices, faces, vertex_normals(vertices, faces))
 
@@ -37,12 +38,22 @@ def islands(mesh):
 
 
 @pytest.mark.slow
+def test_lumps_do_not_become_regions():
+    """Before regions are joined, which mends much: 10 to 23 for forty seeds, and 68 to 84 where
+    triangles' normals are not evened.
+    """
+    mesh = lumpy_ball(4)
+    assert len(np.unique(cut(mesh.vertices, mesh.faces))) <= 40
+
+
+@pytest.mark.slow
 def test_lumps_do_not_become_charts():
-    mesh = lumpy_ball()
+    """2 to 4 charts for sixteen seeds; 12 to 20 where the surface is not evened before the cut."""
+    mesh = lumpy_ball(4, 0.05)
     found, charts = unwrap(mesh, Atlas(resolution=256, padding=2))
     facts = judge(found.uv, found.faces, 512)
-    assert charts == islands(found) <= 12
-    # two discs fill .54 of a square; these two charts are ragged
+    assert charts == islands(found) <= 8
+    # two discs fill .54 of a square; these charts are ragged
     assert facts["in_range"] and facts["overlap"] == 0 and facts["utilisation"] > 0.35
     assert np.allclose(found.vertices[found.faces], mesh.vertices[mesh.faces])
 

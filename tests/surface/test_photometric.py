@@ -9,7 +9,16 @@ from pipeline.base.runtime import import_open3d
 from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import Mesh, vertex_normals
 from pipeline.surface.consistency import Sight, pull, with_slopes
-from pipeline.surface.photometric import Refinement, _at_size, affordable, refine_mesh
+from pipeline.surface.photometric import (
+    ASLANT,
+    RIM,
+    Refinement,
+    _at_size,
+    _front,
+    _gather,
+    affordable,
+    refine_mesh,
+)
 from pipeline.surface.plate import umbrella
 from pipeline.surface.zbuffer import Crop, z_buffer
 from tests.conftest import look_at
@@ -142,6 +151,41 @@ def test_pull_is_the_slope_of_the_score():
     slope = np.nansum(scores(step) - scores(-step)) / (2 * step)  # windows seen both times
     assert np.isfinite(score).sum() > 500 and (second >= 0).all()
     assert abs(first.sum() - slope) < 0.05 * abs(slope)
+
+
+def test_a_pixels_pull_is_shared_by_its_place_in_the_triangle():
+    """A camera looks along z at a triangle across. One of its vertices moves at 60 degrees to that:
+    half of its movement is the surface's.
+    """
+    share = np.array([0.5, 0.3, 0.2])
+    a, b = np.array([1.0, 0.2]), np.array([-0.5, -1.0])
+    corners = np.stack([a, b, -(share[0] * a + share[1] * b) / share[2]])  # the pixel's ray: (0, 0)
+    x = np.column_stack([corners, np.full(3, 2.0)])
+    normals = np.array([[0, 0, -1.0], [0, 0, -1.0], [np.sqrt(0.75), 0, -0.5]])
+    first, second, depth = (np.full((1, 1), value, np.float32) for value in (3, 5, 2))
+    rays = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1.0]])
+    seen, faces = np.zeros((1, 1), int), np.array([[0, 1, 2]])
+    flat = np.array([[0, 0, -1.0]])
+    g, h = _gather(first, second, depth, seen, x, faces, flat, normals, rays, np.zeros(3))
+    lever = np.array([1, 1, 0.5])
+    np.testing.assert_allclose(g, -3 * share * lever)  # outwards is towards the camera
+    np.testing.assert_allclose(h, 5 * share * lever**2)
+
+
+@pytest.mark.parametrize(
+    "cosine, seen", [(1.0, True), (ASLANT + 0.01, True), (ASLANT - 0.01, False)]
+)
+def test_surfaces_aslant_and_beside_an_outline_are_not_looked_at(cosine, seen):
+    """Half of the picture is near, half is far: depth jumps from column 9 to column 10."""
+    depth = np.ones((12, 20), np.float32)
+    depth[:, 10:] = 2
+    flat = np.array([[np.sqrt(1 - cosine**2), 0, -cosine]])
+    rays = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 1.0]])  # all along z
+    front = _front(depth, np.zeros(depth.shape, int), flat, rays, 1e-3)
+    expected = np.zeros(depth.shape, bool)
+    expected[RIM:-RIM, RIM:-RIM] = seen
+    expected[:, 10 - RIM : 10 + RIM] = False
+    assert (front == expected).all()
 
 
 @pytest.mark.slow
