@@ -111,10 +111,10 @@ def test_real_sets_stand_before_and_now(house):
     head, _, *body = [line.split(" | ") for line in in_table(real_sets())]
     assert {len(line) for line in body} == {len(head)}
     assert [line[:5] for line in body] == [
-        ["| lego", "before", "18.90", "18.40", "-0.50"],
+        ["| lego", "before", "18.90", "18.40", "-.50"],
         ["| lego", "now", "18.90", "20.40", "1.50"],
         ["| axe", "before", "exit status 1", "", ""],
-        ["| mean of 1", "before", "18.90", "18.40", "-0.50"],
+        ["| mean of 1", "before", "18.90", "18.40", "-.50"],
         ["| mean of 1", "now", "18.90", "20.40", "1.50"],
     ]
     assert ".94, .94" in body[0] and "18.40, 18.40" in body[0]
