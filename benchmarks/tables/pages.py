@@ -57,6 +57,9 @@ def of_assets() -> dict[str, Callable[[], str]]:
         "ladder_truth": lambda: (
             ladder_tables.truths(rows_of("ladder_truth")) + source("ladder_truth")
         ),
+        "ladder_folds": lambda: (
+            ladder_tables.truths(rows_of("ladder_folds")) + source("ladder_folds")
+        ),
         "ladder_worst": lambda: ladder_tables.worst(rows_of("ladder_truth")),
         "trust_summary": lambda: trust_tables.summary(rows_of("trust")),
         "trust_wrong": lambda: trust_tables.wrong(rows_of("trust")) + source("trust"),
