@@ -237,6 +237,7 @@ def row(work: Path, erode: float) -> dict:
         "samples": lit,
         "charts": atlas["charts"],
         "utilisation": atlas["utilisation"],
+        "packed_by": atlas.get("packed_by"),  # none by versions with one packer
         "faces": atlas["faces"],
         "mesh_seconds": seconds.get("mesh"),
         "seconds": seconds,

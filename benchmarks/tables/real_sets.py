@@ -24,6 +24,12 @@ OF_SAMPLES = {
     "share of metal": ("metallic_share_above_half", 2),
     "median roughness": ("roughness_median", 2),
 }
+# Of an atlas: heading, its key, digits.
+PACKED = {
+    "charts": ("charts", 0),
+    "share of the page": ("utilisation", 2),
+    "unlit dB": ("unlit_psnr", 2),
+}
 REAL_TRUTH: list[tuple[str, tuple[str, ...], int]] = [
     ("F-score at 1 %", ("truth", "f1_at_1_percent_of_size"), 3),
     ("at .5 %", ("truth", "f1_at_half_percent"), 3),
@@ -94,4 +100,15 @@ def real_sets_truth() -> str:
     return pipe_table(["set", "", *(heading for heading, *_ in REAL_TRUTH)], body)
 
 
-TABLES = {make.__name__: make for make in (real_sets, real_sets_truth)}
+def atlas_photos() -> str:
+    """What the packer of an atlas costs held-out photos, on one mesh."""
+    body = []
+    for row in committed.rows_of("atlas_photos"):
+        figures = [number(row[key], digits) for key, digits in PACKED.values()]
+        lit = ", ".join(number(sample["psnr"], 2) for sample in row["samples"])
+        body.append([row["scene"], row["packed_by"], *figures, lit])
+    head = ["scene", "packed by", *PACKED, "lit dB, a sample each"]
+    return pipe_table(head, body) + source("atlas_photos")
+
+
+TABLES = {make.__name__: make for make in (real_sets, real_sets_truth, atlas_photos)}
