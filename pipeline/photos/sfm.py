@@ -221,10 +221,17 @@ def _mapped(
         options = _mapper_options(pycolmap.GlobalPipelineOptions(), threads)
         return _largest(pycolmap.global_mapping(*inputs, options))
 
+    return _largest(pycolmap.incremental_mapping(*inputs, incremental_options(threads)))
+
+
+def incremental_options(threads: int) -> pycolmap.IncrementalPipelineOptions:
+    """COLMAP's own, but for what the chain needs."""
+    import pycolmap
+
     options = _mapper_options(pycolmap.IncrementalPipelineOptions(), threads)
     # else a model ends where it shares 20 photos with those that a bad start has cut short
     options.max_model_overlap = EVERY_PHOTO
-    return _largest(pycolmap.incremental_mapping(*inputs, options))
+    return options
 
 
 def _to_map(database: Path, held_out: list[str]) -> Path:

@@ -385,20 +385,18 @@ def test_a_killed_run_continues(project, tmp_path, snakemake, jobs):
     with left_behind(command(project, target, *endless), project) as running:
         wait_for(lambda: (work / ".partial-fit").exists(), running)
 
-        refused = snakemake(project, target)
-        said = refused.stdout + refused.stderr
-        assert refused.returncode != 0 and "another run is at work on this scene" in said
+        # a second run that was not refused would wait for the endless stage
+        refused_log = tmp_path / "refused.log"
+        refused = project_run(project, target, log=refused_log)
+        wait_for(lambda: refused.poll() is not None or WAITS in refused_log.read_text(), refused)
+        said = refused_log.read_text()
+        assert refused.poll() and "another run is at work on this scene" in said
         assert "Traceback" not in said
         assert "fit" in jobs(project, target, "--config", "fit={steps: 7}")  # a plan is none
 
         os.kill(running.pid, signal.SIGKILL)
         running.wait()
-        following = subprocess.Popen(
-            command(project, target, "--config", "fit={steps: 8}"),
-            stdout=log.open("w"),
-            stderr=subprocess.STDOUT,
-            **surroundings(project),
-        )
+        following = project_run(project, target, "--config", "fit={steps: 8}", log=log)
         wait_for(lambda: WAITS in log.read_text(), following)
         assert files_in(work / "fit") == before and following.poll() is None
 
@@ -418,6 +416,14 @@ def left_behind(run: list[str], folder: Path) -> Iterator[subprocess.Popen]:
     finally:
         os.killpg(running.pid, signal.SIGKILL)
         running.wait()
+
+
+def project_run(project: Path, *arguments: str, log: Path) -> subprocess.Popen:
+    """A run that has begun; what it says goes into `log`."""
+    run = command(project, *arguments)
+    return subprocess.Popen(
+        run, stdout=log.open("w"), stderr=subprocess.STDOUT, **surroundings(project)
+    )
 
 
 def wait_for(happened, running: subprocess.Popen) -> None:

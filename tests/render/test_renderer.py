@@ -50,6 +50,25 @@ def test_picture_is_linear_in_the_light(renderer):
     assert np.allclose(mean[2], 2 * mean[0] + mean[1], rtol=0.01)
 
 
+@pytest.mark.parametrize("spp, chunk", [(8, 900), (7, 900), (8, 100), (1, 900), (8, 1 << 19)])
+def test_a_mean_takes_every_path_of_every_pixel_once(renderer, monkeypatch, spp, chunk):
+    """However many paths are traced together: pixel k of ray set p is worth k + p / 10 here."""
+    pixels, made = 300, []
+
+    def rays(rng):
+        made.append(len(made))
+        origins = np.stack([np.arange(pixels), np.full(pixels, made[-1]), np.zeros(pixels)], 1)
+        return origins, origins
+
+    def radiance(origins, directions, seed):
+        return np.repeat((origins[:, 0] + origins[:, 1] / 10)[:, None], 3, 1)
+
+    monkeypatch.setattr(renderer, "radiance", radiance)
+    found = renderer.mean_radiance(rays, spp, seeded(1), chunk)
+    assert len(made) == spp
+    assert np.allclose(found[:, 0], np.arange(pixels) + np.mean(made) / 10)
+
+
 def test_scaling_the_light_scales_the_picture_exactly(renderer):
     plain = explanation()
     rays = rays_at_ball(500)
