@@ -17,21 +17,22 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from pipeline.base.images import linear_to_srgb
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.posterior.shading import Shading
 from pipeline.posterior.textures import bilinear_matrix, fill, gather, seen_texels
 from pipeline.render.observe import Observations
 
 COARSEST = 32  # side of the pyramid's smallest map
-# relative errors at which a pixel loses half its weight, one solve after the other: the first must
-# not lock in what a mean over all pixels says
-CONTRADICTIONS = (1.0, 0.5, 0.25, 0.25)
+# errors of logs at which a pixel loses half its weight, one solve after the other: the first must
+# not lock in what a mean over all pixels says, the last must not forget what is merely noisy
+CONTRADICTIONS = (1.0, 1.0, 0.7, 0.7)
 EVERY = 5  # one view of so many judges how sharp the map may be, and how bright the light
 BRIGHTER = (1.0, 1.2, 1.45, 1.75, 2.1)  # factors of the light that are tried
-# part of the mean error that a brighter light must save: less than that is chance
+# part of the error that a brighter light must save: less than that is chance
 CLEAR_GAIN = 0.03
 # part of the pixels that must lie where a base colour is at its limit, before any is tried
-AT_LIMIT = 0.05
+AT_LIMIT = 0.02
 
 
 @dataclass(frozen=True)
@@ -164,41 +165,45 @@ class ColorSolver:
             color = np.clip(color, 0, ALBEDO_MAX).astype(np.float32)
         return color
 
-    def robust(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    def robust(
+        self, begin: np.ndarray, unseen: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, float]:
         """Usual colours (t, t, 3), the pixels' weights (n, 3), and the mean squared relative error
-        of the picture that `begin` makes.
+        of the picture that `begin` makes. Pixels `unseen` (n,) have weight 0.
 
         Weights forget pixels which other views contradict (Geman-McClure, its width shrinking):
         occlusion edges, slightly wrong cameras, highlights in the wrong place.
         """
         color = begin
-        trust = self.cosine  # the first solve trusts all pixels: its errors are those of `begin`
+        # the first solve trusts all pixels: its errors are those of `begin`
+        known = self.cosine if unseen is None else np.where(unseen[:, None], 0, self.cosine)
+        trust = known
         losses: list[float] = []
         for contradiction in CONTRADICTIONS:
             picture = self.picture(color)
             photo = self.photo(picture)
-            relative = (photo - picture) / (photo + SHADE)
             if losses:
-                off = np.abs(relative).mean(1, keepdims=True) / contradiction
-                trust = self.cosine / (1 + off**2)
-            losses.append(float((relative**2).mean()))
+                off = np.abs(log_error(picture, photo)).mean(1, keepdims=True) / contradiction
+                trust = known / (1 + off**2)
+            losses.append(float((((photo - picture) / (photo + SHADE)) ** 2).mean()))
 
             weight = (trust * error_weight(picture, photo)).astype(np.float32)
             color = self.mean(weight, photo, USUAL)
         return color, weight, losses[0]
 
-    def sharpest_that_holds(self, weight: np.ndarray, photo: np.ndarray) -> Sharpness:
-        """Of CHOICES the one whose map, made from the other views with the pixels' `weight` (n, 3),
-        explains every EVERY-th best; there all pixels count, as they do in a score.
+    def sharpest_that_holds(self, begin: np.ndarray) -> Sharpness:
+        """Of CHOICES the one whose map, made from the other views, explains every EVERY-th best;
+        there all pixels count, as they do in a score.
         """
         judge = judges(self.observations)
         if judge is None:
             return USUAL
 
-        made_from = np.where(judge[:, None], 0, weight)
+        color, weight, _ = self.robust(begin, judge)
+        photo = self.photo(self.picture(color))
         errors = []
         for sharpness in CHOICES:
-            picture = self.picture(self.mean(made_from, photo, sharpness))
+            picture = self.picture(self.mean(weight, photo, sharpness))
             errors.append(float((log_error(picture, photo)[judge] ** 2).mean()))
         return CHOICES[int(np.argmin(errors))]
 
@@ -214,6 +219,12 @@ def log_error(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:
     return np.log((np.maximum(picture, 0) + SHADE) / (photo + SHADE))
 
 
+def squared_srgb_error(picture: np.ndarray, photo: np.ndarray) -> float:
+    """Mean squared difference of sRGB values, from linear ones (n, 3)."""
+    srgb = lambda image: linear_to_srgb(np.clip(image, 0, 1))
+    return float(((srgb(picture) - srgb(photo)) ** 2).mean())
+
+
 def share_at_limit(color: np.ndarray) -> float:
     """Part of colours (n, 3) with a channel at ALBEDO_MAX."""
     return float((color >= 0.99 * ALBEDO_MAX).any(1).mean())
@@ -221,11 +232,13 @@ def share_at_limit(color: np.ndarray) -> float:
 
 def brighter_light(observations: Observations, shading: Shading, begin: np.ndarray) -> float:
     """Factor >= 1 by which the light of `shading` must be brighter for base colours <= 1 to explain
-    the photos: of BRIGHTER the one whose colours, made from the other views, explain every EVERY-th
-    best; 1 where it saves less than CLEAR_GAIN of the error, or where fewer than AT_LIMIT of the
-    pixels show a colour at its limit. `begin` (t, t, 3).
+    the photos: the least of BRIGHTER whose colours, made from the other views, explain every
+    EVERY-th as well as the best one's, up to CLEAR_GAIN of the error; 1 where fewer than AT_LIMIT
+    of the pixels show a colour at its limit. `begin` (t, t, 3).
 
-    A light that is too dim would be made up for by colours above 1, which there are not.
+    A light that is too dim would be made up for by colours above 1, which there are not. The error
+    is a score's, squared, of sRGB values: it counts what is far too dark, as parts at the limit
+    are, and a mean of |log| hardly does.
     """
     judge = judges(observations)
     if judge is None:
@@ -235,15 +248,14 @@ def brighter_light(observations: Observations, shading: Shading, begin: np.ndarr
     for factor in BRIGHTER:
         brighter = Shading(factor * shading.scaled, factor * shading.rest)
         solver = ColorSolver(observations, brighter, len(begin))
-        color, weight, _ = solver.robust(begin)
+        color, _, _ = solver.robust(begin, judge)
         if not errors and share_at_limit(gather(color, observations.uv)) < AT_LIMIT:
             return 1.0
 
-        photo = solver.photo(solver.picture(color))
-        picture = solver.picture(solver.mean(np.where(judge[:, None], 0, weight), photo, USUAL))
-        errors.append(float(np.abs(log_error(picture, photo)[judge]).mean()))
-    best = int(np.argmin(errors))
-    return BRIGHTER[best] if errors[best] < (1 - CLEAR_GAIN) * errors[0] else 1.0
+        picture = solver.picture(color)
+        errors.append(squared_srgb_error(picture[judge], solver.photo(picture)[judge]))
+    good_enough = np.array(errors) * (1 - CLEAR_GAIN) <= min(errors)
+    return BRIGHTER[int(np.argmax(good_enough))]
 
 
 def color_map(
@@ -264,7 +276,7 @@ def color_map(
 
     photo = solver.photo(solver.picture(color))
     if sharpness is None:
-        sharpness = solver.sharpest_that_holds(weight, photo)
+        sharpness = solver.sharpest_that_holds(begin)
     color = solver.mean(weight, photo, sharpness)
     return fill(color, seen_texels(observations.uv, size)), {
         "loss": loss,
