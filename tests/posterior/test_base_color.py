@@ -113,6 +113,32 @@ def test_views_that_contradict_the_others_are_forgotten(truth):
     assert np.abs(color - truth)[6:-6, 6:-6].mean() < 0.05
 
 
+def test_pixels_that_are_unseen_say_nothing(truth):
+    """Photos that judge a map have no part in it, not even in which pixels of others are trusted."""
+    observations, shading = pixels_of(truth, 40000)
+    begin = np.full((SIZE, SIZE, 3), 0.4, np.float32)
+    judge = observations.view % 5 == 0
+    color, weight, _ = ColorSolver(observations, shading, SIZE).robust(begin, judge)
+    assert (weight[judge] == 0).all() and (weight[~judge] > 0).all()
+
+    observations.rgb[judge] *= 3
+    again, _, _ = ColorSolver(observations, shading, SIZE).robust(begin, judge)
+    assert np.array_equal(color, again)
+
+
+def test_what_a_third_of_the_photos_says_counts():
+    """A third of the pixels is twice as bright: the colour is nearer to the mean of logs (1.26)
+    than to what most say. A width of a quarter of the error forgot them (1.11).
+    """
+    truth = np.full((SIZE, SIZE, 3), 0.3, np.float32)
+    observations, shading = pixels_of(truth, 40000)
+    third = numpy_rng(2).random(40000) < 1 / 3
+    observations.rgb[third] *= 2
+    color, _, _ = ColorSolver(observations, shading, SIZE).robust(truth)
+    more = color[6:-6, 6:-6].mean() / 0.3
+    assert 1.2 < more < 1.35
+
+
 def test_saturated_pixels_do_not_pull_the_colour_down():
     truth = np.full((SIZE, SIZE, 3), 0.5, np.float32)
     observations, shading = pixels_of(truth, 40000)
@@ -145,6 +171,16 @@ def test_light_is_as_bright_as_colours_below_one_need(truth, times, found):
     dim = Shading(shading.scaled / times, shading.rest / times)
     begin = np.full((SIZE, SIZE, 3), 0.4, np.float32)
     assert brighter_light(observations, dim, begin) == found
+
+
+def test_a_small_part_at_the_limit_raises_the_light():
+    """Three pixels of a hundred need a colour of 1.6 under this light."""
+    truth = np.full((SIZE, SIZE, 3), 0.3, np.float32)
+    truth[24:34, 24:34] = 0.92
+    observations, shading = pixels_of(truth, 40_000)
+    dim = Shading(shading.scaled / 1.75, shading.rest / 1.75)
+    assert brighter_light(observations, dim, truth) >= 1.45
+    assert brighter_light(observations, shading, truth) == 1
 
 
 def test_gloss_stays_near_the_draw():
