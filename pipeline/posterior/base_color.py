@@ -171,7 +171,7 @@ class ColorSolver:
         """Usual colours (t, t, 3), the pixels' weights (n, 3), and the mean squared relative error
         of the picture that `begin` makes. Pixels `unseen` (n,) have weight 0.
 
-        Weights forget pixels which other views contradict (Geman-McClure, its width shrinking):
+        Weights forget pixels which other views contradict (Cauchy's, Holland and Welsch 1977):
         occlusion edges, slightly wrong cameras, highlights in the wrong place.
         """
         color = begin

@@ -148,7 +148,9 @@ def test_highlights_do_not_stay_in_the_base_colour(problem):
         found, _ = solve_base_color(glossy, found, 8 * len(observations), rng)
 
     seen = gather(found.base_color, observations.uv)
-    assert np.quantile(np.abs(seen - 0.05), 0.95) < 0.03
+    assert np.quantile(seen, 0.99) < 0.055
+    # where the noise of a highlight is taken off, so dark a colour comes out too dark
+    assert np.quantile(seen, 0.05) > 0.01 and np.median(seen) > 0.03
 
 
 def test_splat_is_the_adjoint_of_gather():
