@@ -114,7 +114,7 @@ def test_views_that_contradict_the_others_are_forgotten(truth):
 
 
 def test_pixels_that_are_unseen_say_nothing(truth):
-    """Photos that judge a map have no part in it, not even in which pixels of others are trusted."""
+    """Photos that judge a map have no part in it, nor in which pixels of others are trusted."""
     observations, shading = pixels_of(truth, 40000)
     begin = np.full((SIZE, SIZE, 3), 0.4, np.float32)
     judge = observations.view % 5 == 0
