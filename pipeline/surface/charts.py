@@ -200,32 +200,33 @@ def _merged(
 def flattened(vertices: np.ndarray, faces: np.ndarray, chart: np.ndarray) -> list[FlatChart]:
     """Every chart laid flat: cut further where it overlaps itself, then joined with a neighbour
     where the two lie flat together. What still overlaps itself on texels half as large as a page's
-    is cut once more.
+    is cut once more, and its parts are joined with other neighbours.
     """
     order = np.argsort(chart, kind="stable")
     groups = np.split(order, np.cumsum(np.bincount(chart))[:-1])
-    joined = _joined(vertices, faces, _laid_flat(vertices, faces, groups, OVERLAP_GRID))
+    flat = laid_flat(vertices, faces, groups, OVERLAP_GRID)
+    flat = joined_charts(vertices, faces, flat, range(len(flat)), OVERLAP_GRID)
 
     texel = np.sqrt(face_normals(vertices, faces)[1].sum()) / PAGE
-    out = []
-    for one in joined:
+    whole, parts = [], []
+    for one in flat:
         corner = np.searchsorted(one.index, faces[one.members])
         texels = 2 * float(np.ptp(one.uv, axis=0).max()) / max(texel, 1e-30)
         grid = int(np.clip(texels, OVERLAP_GRID, 2 * PAGE))
         if len(corner) == 1 or not _overlaps(one.uv, corner, grid):
-            out.append(one)
+            whole.append(one)
         else:
-            out.extend(cut_again(vertices, faces, one))
-    return out
+            parts.extend(cut_again(vertices, faces, one))
+    return joined_charts(vertices, faces, parts + whole, range(len(parts)), 2 * PAGE)
 
 
 def cut_again(vertices: np.ndarray, faces: np.ndarray, chart: FlatChart) -> list[FlatChart]:
     """A chart in two or more, none of which overlaps itself on texels half as large as a page's."""
     halves = _halves(vertices, faces[chart.members], chart.members)
-    return _laid_flat(vertices, faces, halves, 2 * PAGE)
+    return laid_flat(vertices, faces, halves, 2 * PAGE)
 
 
-def _laid_flat(
+def laid_flat(
     vertices: np.ndarray, faces: np.ndarray, groups: list[np.ndarray], grid: int
 ) -> list[FlatChart]:
     """Groups of triangles laid flat, cut further where they overlap themselves on a grid."""
@@ -241,16 +242,18 @@ def _laid_flat(
     return out
 
 
-def _joined(vertices: np.ndarray, faces: np.ndarray, flat: list[FlatChart]) -> list[FlatChart]:
-    """The charts, smallest first, each joined with the neighbour of the longest common border with
-    which it lies flat.
+def joined_charts(
+    vertices: np.ndarray, faces: np.ndarray, flat: list[FlatChart], which: range, grid: int
+) -> list[FlatChart]:
+    """The charts; those of the numbers `which`, smallest first, and what they become part of, are
+    each joined with the neighbour of the longest common border with which they lie flat on a grid.
     """
     near = adjacency(faces)
     chart = np.empty(len(faces), int)
     for k, one in enumerate(flat):
         chart[one.members] = k
     kept: dict[int, FlatChart] = dict(enumerate(flat))
-    queue = [(len(one.members), k) for k, one in kept.items()]
+    queue = [(len(flat[k].members), k) for k in which]
     heapq.heapify(queue)
     while queue:
         size, k = heapq.heappop(queue)
@@ -261,7 +264,7 @@ def _joined(vertices: np.ndarray, faces: np.ndarray, flat: list[FlatChart]) -> l
         ranked = others[np.argsort(-border)]
         for other in ranked[ranked != k][:NEIGHBOURS]:
             both = np.concatenate([kept[k].members, kept[int(other)].members])
-            together = _flat(vertices, faces[both])
+            together = _flat(vertices, faces[both], grid)
             if together is not None:
                 kept[int(other)] = FlatChart(both, *together)
                 chart[kept.pop(k).members] = other
@@ -306,7 +309,8 @@ def _lies_flat(uv: np.ndarray, corner: np.ndarray, area: np.ndarray, grid: int) 
     laid *= area.sum() / max(laid.sum(), 1e-30)
     if (laid < FOLD * area).any() or area[laid < SQUEEZED * area].sum() > 0.02 * area.sum():
         return False
-    return len(corner) == 1 or not _overlaps(uv, corner, grid)
+    grids = sorted({OVERLAP_GRID, grid})  # the coarser one says no for less
+    return len(corner) == 1 or not any(_overlaps(uv, corner, side) for side in grids)
 
 
 def _overlaps(uv: np.ndarray, corner: np.ndarray, grid: int) -> bool:

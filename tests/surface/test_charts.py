@@ -12,7 +12,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.runtime import import_open3d
 from pipeline.geometry.mesh_io import Mesh, vertex_normals
 from pipeline.surface.atlas import judge, unwrap
-from pipeline.surface.charts import adjacency, cut, flattened
+from pipeline.surface.charts import adjacency, cut, flattened, joined_charts, laid_flat
 from pipeline.surface.pack import packed
 from pipeline.surface.raster import rasterize
 from tests.seeds import numpy_rng
@@ -163,6 +163,20 @@ def test_chart_without_area_is_packed_beside_others():
 def test_too_many_charts_for_the_texels_are_refused():
     with pytest.raises(InputError, match="do not fit"):
         packed([SQUARE] * 300, 16, 4)
+
+
+@pytest.mark.parametrize("movable, left", [(0, 4), (1, 1), (4, 1)])
+def test_charts_that_may_be_joined_find_neighbours(movable, left):
+    """A flat strip of eight squares in four charts: all become one from the first chart on."""
+    x = np.repeat(np.arange(9.0), 2)
+    vertices = np.stack([x, np.tile([0.0, 1.0], 9), np.zeros(18)], 1)
+    a = 2 * np.arange(8)
+    faces = np.stack([a, a + 2, a + 3, a, a + 3, a + 1], 1).reshape(-1, 3)
+    groups = [np.arange(4 * k, 4 * k + 4) for k in range(4)]
+    flat = laid_flat(vertices, faces, groups, 256)
+    charts = joined_charts(vertices, faces, flat, range(movable), 256)
+    assert len(flat) == 4 and len(charts) == left
+    assert sorted(np.concatenate([c.members for c in charts])) == list(range(16))
 
 
 def test_ring_that_overlaps_itself_by_a_sliver_is_cut():
