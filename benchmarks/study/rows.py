@@ -19,10 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.scenes import machine
 from benchmarks.study.methods import METHODS, methods_named, scene_for
-from benchmarks.study.store import row_file
-from benchmarks.tables.committed import head_commit
+from benchmarks.study.store import made_here, row_file
 from pipeline.base.errors import run_stage
 from pipeline.base.files import atomic_path, write_json
 from pipeline.base.progress import Bar
@@ -135,8 +133,7 @@ def measure(
             "scene": name,
             "method": method,
             "seed": seed,
-            "machine": machine(),
-            "commit": head_commit(),
+            **made_here(),
             "scores": scored.values,
             "views": scored.views,
             "white": truth.white,

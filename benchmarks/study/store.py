@@ -6,14 +6,21 @@ beside it what the draws of a scene and a method say together.
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 
-from benchmarks.tables.committed import RESULTS
+from benchmarks.scenes import machine
+from benchmarks.tables.committed import RESULTS, head_commit
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json
 
 ROWS = RESULTS / "study"
 TOGETHER = "together.json"
+
+
+def made_here() -> dict[str, str]:
+    """What a row says of where and when it was made: `machine`, `commit`, `date`."""
+    return {"machine": machine(), "commit": head_commit(), "date": date.today().isoformat()}
 
 
 def suite_folder(rows: Path, suite: str) -> Path:

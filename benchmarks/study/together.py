@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.scenes import machine
 from benchmarks.study.rows import light_unknowns
-from benchmarks.study.store import TOGETHER, seeds_in
-from benchmarks.tables.committed import head_commit
+from benchmarks.study.store import TOGETHER, made_here, seeds_in
 from pipeline.base.files import read_json, write_json
 from pipeline.base.images import linear_to_srgb
 from pipeline.render.draw_metrics import coverage
@@ -44,8 +42,7 @@ def join(scene: Path, method: str, rows: Path, draws: Path, about: dict) -> None
         "scene": scene.name,
         "method": method,
         "seeds": seeds,
-        "machine": machine(),
-        "commit": head_commit(),
+        **made_here(),
         "scores": of_draws([np.load(pack) for pack in packs], truth),
     }
     write_json(file, about | row)

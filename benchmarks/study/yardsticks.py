@@ -20,13 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.scenes import ROOT, machine
+from benchmarks.scenes import ROOT
 from benchmarks.study.__main__ import prepare
 from benchmarks.study.methods import TEXTURE, YARDSTICKS
 from benchmarks.study.rows import SPP
-from benchmarks.study.store import ROWS, row_file, suite_folder
+from benchmarks.study.store import ROWS, made_here, row_file, suite_folder
 from benchmarks.suite.make import make_suite
-from benchmarks.tables.committed import head_commit
 from benchmarks.unlit import bake, photo_pixels, picture
 from pipeline.base.config import Observe
 from pipeline.base.errors import run_stage
@@ -108,7 +107,7 @@ def main() -> None:
     rows = suite_folder(args.rows, args.suite)
     command = f"python -m benchmarks.study.yardsticks --suite {args.suite} --out FOLDER"
     about = {"suite": args.suite, "command": command, "note": args.note}
-    about |= {"seed": 0, "machine": machine(), "commit": head_commit()}
+    about |= {"seed": 0, **made_here()}
     for folder in progress(make_suite(args.suite, args.out / "scenes"), "yardsticks"):
         files = {name: row_file(rows, folder.name, name, 0) for name in YARDSTICKS}
         if all(file.exists() for file in files.values()):
