@@ -7,6 +7,7 @@ import numpy as np
 from benchmarks.markdown import number, pipe_table
 from benchmarks.study.intervals import paired, views_of
 from benchmarks.study.methods import METHODS, OURS
+from benchmarks.tables.committed import title
 from pipeline.render.declared import METRICS
 
 SHOWN = (
@@ -166,6 +167,14 @@ def differences(data: dict) -> str:
     return pipe_table([f"less `{OURS}`", *(heading(key) for key in DIFFERENCES)], body)
 
 
+def longer_down(head: list[str], body: list[list[str]]) -> str:
+    """The table, turned so that what is more of goes down and not across."""
+    table = [head, *body]
+    if len(head) > len(table):
+        table = [list(column) for column in zip(*table)]
+    return pipe_table(table[0], table[1:])
+
+
 def by_scene(data: dict) -> str:
     """Relight PSNR of every scene and method: our draws' mean, then the others' difference from it,
     with bootstrap intervals over the scene's pictures.
@@ -182,7 +191,7 @@ def by_scene(data: dict) -> str:
             found = paired(views_of(rows, "relight"), mine[scene]) if rows else None
             cells.append(with_interval(found, 1) if found else "")
         body.append([f"`{method}` less that", *cells])
-    return pipe_table(["relight PSNR, dB", *scenes], body)
+    return longer_down(["relight PSNR, dB", *map(title, scenes)], body)
 
 
 def levels(data: dict) -> str:

@@ -25,7 +25,15 @@ from benchmarks.study.labels import HEIGHT, apart, box_of
 from benchmarks.study.methods import METHODS, OURS, methods_named, scene_for
 from benchmarks.study.pictures import draw
 from benchmarks.study.store import suite_rows
-from benchmarks.study.tables import coverage_error, levels, mean_of, printed, scene_mean, seconds
+from benchmarks.study.tables import (
+    coverage_error,
+    levels,
+    longer_down,
+    mean_of,
+    printed,
+    scene_mean,
+    seconds,
+)
 from benchmarks.study.yardstick_tables import means
 from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
@@ -55,6 +63,13 @@ def together(method: str, held: float, scenes=("a", "b")) -> list[dict]:
     scores = dict.fromkeys((*keys, "variance_albedo", "variance_light"), 1.0)
     scores["coverage"] = cover
     return [{"scene": scene, "method": method, "scores": scores} for scene in scenes]
+
+
+def test_a_table_goes_down_where_it_is_longer():
+    wide = longer_down(["", "a", "b", "c"], [["one", "1", "2", "3"]])
+    assert wide.split("\n")[0] == "|  | one |" and "| c | 3 |" in wide
+    tall = longer_down(["", "a"], [["one", "1"], ["two", "2"]])
+    assert tall.split("\n")[0] == "|  | a |" and "| two | 2 |" in tall
 
 
 @pytest.fixture
