@@ -129,7 +129,9 @@ def chart(
 
 
 def charts(data: dict, out: Path, suite: str) -> None:
-    """Both charts of a study under `out`, with lines across where the yardsticks are."""
+    """Both charts of a study under `out`, with lines across where the yardsticks are; where no
+    method has several draws of every scene, the first one alone.
+    """
     count = len(scenes_in(data))
     title = (
         f"suite {suite}, {count} scenes; dashed: nothing is both faster and better;\n"
@@ -141,7 +143,11 @@ def charts(data: dict, out: Path, suite: str) -> None:
         relight = chart(relight_points(data), True, label, title, means(data))
         saved(relight, file("relight"), dpi=DPI)
         label = "error of the 80 % intervals' coverage"
-        saved(chart(coverage_points(data), False, label, title, {}), file("coverage"), dpi=DPI)
+        points = coverage_points(data)
+        if points:
+            saved(chart(points, False, label, title, {}), file("coverage"), dpi=DPI)
+        else:
+            print("no chart of coverage: no method has several draws of every scene")
 
 
 def main() -> None:

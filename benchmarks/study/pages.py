@@ -34,6 +34,19 @@ def source(suite: str, methods: Collection[str] = METHODS) -> str:
     return f"\n<sub>{link}: {made}. {' '.join(said('note'))}</sub>\n"
 
 
+def chart_source(suite: str) -> str:
+    """The line below a chart: where and when its rows were made, how it is drawn, what to copy."""
+    rows = [row for row in suite_rows(suite)["rows"] if row["method"] in METHODS]
+    said = lambda key: ", ".join(dict.fromkeys(row[key] for row in rows if row.get(key)))
+    days = f"rows of {said('date')}; " if said("date") else ""
+    redraw = f"drawn by `python -m benchmarks.study.charts --suite {suite} --out docs`"
+    copy = "To copy: `preset: draft` or `preset: standard` in the scene's configuration, or"
+    return (
+        f"<sub>{said('machine')}; {days}{redraw}. {copy} `sample: {{method: NAME}}` for a method "
+        "that is no preset.</sub>\n"
+    )
+
+
 def of_suite(suite: str, make: Callable[[dict], str]) -> Callable[[], str]:
     """A table of a suite's committed rows."""
     return lambda: make(suite_rows(suite))
@@ -55,7 +68,13 @@ XS: dict[str, Callable[[dict], str]] = {
 }
 S: dict[str, Callable[[dict], str]] = {
     "study_s_scores": scores,
-    "study_s_by_scene": lambda data: by_scene(data) + source("S"),
+    "study_s_differences": differences,
+    "study_s_by_scene": by_scene,
+    "study_s_costs": costs,
+    "study_s_levels": levels,
+    "study_s_relight_choice": lambda data: f"{relight_choice(data)}\n\n{chart_source('S')}",
+    "study_s_speed": lambda data: speed_against(data) + "\n",
+    "study_s_source": lambda data: source("S"),
 }
 TABLES: dict[str, Callable[[], str]] = {
     **{name: of_suite("XS", make) for name, make in XS.items()},

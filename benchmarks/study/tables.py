@@ -201,7 +201,7 @@ def levels(data: dict) -> str:
     for method in methods_in(data):
         found = [scene_mean(data, scene, method, "light_level") for scene in scenes]
         body.append([f"`{method}`", *(number(value, 2) for value in found)])
-    return pipe_table(["log of the light's level", *scenes], body)
+    return longer_down(["log of the light's level", *map(title, scenes)], body)
 
 
 def mean_cost(rows: list[dict], part: str, key: str) -> float:

@@ -199,6 +199,15 @@ def test_speed_counts_refinement(data):
 
 
 @pytest.mark.slow
+def test_one_draw_a_scene_makes_no_chart_of_coverage(data, tmp_path, capsys):
+    charts(data | {"together": []}, tmp_path, "XS")
+    assert {file.name for file in tmp_path.iterdir()} == {
+        "study_xs_relight.png",
+        "study_xs_relight.svg",
+    }
+    assert "no chart of coverage" in capsys.readouterr().out
+
+
 def test_charts_are_the_same_for_the_same_rows(data, tmp_path):
     for run in ("one", "two"):
         (tmp_path / run).mkdir()
