@@ -320,10 +320,17 @@ class Refine(Section):
     spp: int = Field(4, ge=2, le=1024, multiple_of=2)
     learning_rate: float = Field(0.02, gt=0, le=1)
     shading_pixels: int = Field(
-        1_000_000,
+        200_000,
         ge=256,
         description="pixels that are path traced for the base colour; the others' shading is "
         "interpolated",
+    )
+    texel_paths: float = Field(
+        24,
+        ge=0,
+        le=10_000,
+        description="paths for every texel of the base colour besides, which find the light in "
+        "details that the interpolation misses",
     )
     score_pixels: int = Field(
         24_000,

@@ -11,7 +11,8 @@ Four steps, one after the other:
    map is moved: Adam through the path tracer, on maps of moderate size, because photos say little
    about their fine detail. The base colour moves along. Where the sampler drew them, roughness
    stays near the draw and metallic as drawn.
-4. Base colour again, with these and at full size.
+4. Base colour again, with these and at full size, and with the light in details that are finer than
+   few paths show (missed_light.py).
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from pipeline.posterior.base_color import (
 from pipeline.posterior.ladder import climb
 from pipeline.posterior.left_out import folds, with_pixels
 from pipeline.posterior.material_optimizer import MaterialOptimizer
+from pipeline.posterior.missed_light import paths_for, with_missed_light
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import Shading, shade
 from pipeline.posterior.split_gibbs.normal_spread import per_axis
@@ -46,8 +48,7 @@ SCALE_PIXELS = 8  # pixels for the light's scale, as a multiple of a step's
 DARKEST_START = 0.02  # base colour: a black one has no direction to move in
 # factor by which roughness may move from a draw: the width of what one draw believes of a region
 ROUGHNESS_FACTOR = 1.3
-FEWER = 5  # part of the final solve's traced pixels that do for the first one, on coarse maps
-FEWEST = 10  # the same for the rungs of the ladder
+FEWER = 2  # part of a solve's traced pixels that do for a rung of the ladder, on coarse maps
 COARSE_PIXELS = 500_000  # observed pixels, at most, that coarse maps are made from: seven a texel
 COLOR_UNITS = 25  # progress: a base colour solve takes as long as so many of Adam's steps
 
@@ -76,11 +77,16 @@ def solve_base_color(
     pixels: int,
     rng: np.random.Generator,
     sharpness: Sharpness | None = None,
+    texel_paths: float = 0,
 ) -> tuple[Explanation, dict]:
     """The explanation with the base colour that the photos show under its light and gloss, from
-    paths through `pixels` pixels. `sharpness` and the facts are those of `color_map`.
+    paths through `pixels` pixels and `texel_paths` more for every texel (`with_missed_light`).
+    `sharpness` and the facts are those of `color_map`.
     """
     begin, shading = shading_by_color(problem, explanation, pixels, rng)
+    paths = paths_for(problem, len(begin.base_color), texel_paths)
+    if paths:
+        shading = with_missed_light(problem, begin, shading, paths, rng)
     color, facts = color_map(problem.observations, shading, begin.base_color, sharpness)
     return replace(begin, base_color=color), facts
 
@@ -212,7 +218,7 @@ def judged_gloss(
         why = "maps stay: too few photos to judge them by"
         return explanation, everywhere, {"gloss": {"why": why}}
 
-    few = settings.shading_pixels // FEWEST
+    few = settings.shading_pixels // FEWER
     solve = lambda of, x: solve_base_color(of, x, few, rng, USUAL)[0]
     found, maps, facts = climb(problem, explanation, parts, solve, rng)
     if maps.any():  # they are moved from colours of their own, not from those of a matt surface
@@ -256,8 +262,7 @@ def refine(
     coarse = replace(coarse, light=(sample.light * scale).astype(np.float32))
 
     some = with_pixels(small, some_pixels(small, rng))
-    few = settings.shading_pixels // FEWER
-    coarse, first = solve_color_and_scale(some, coarse, few, rng)
+    coarse, first = solve_color_and_scale(some, coarse, settings.shading_pixels, rng)
     bar.step("base colour", COLOR_UNITS)
     coarse, moves, tested = judged_gloss(small, coarse, settings, rng)
     if tested and not moves.any():  # moved pixel by pixel a number would become a map again
@@ -267,7 +272,9 @@ def refine(
 
     gloss = settings.gloss_texture or settings.texture
     full = resize_explanation(coarse, settings.texture, gloss)
-    full, last = solve_base_color(problem, full, settings.shading_pixels, rng)
+    full, last = solve_base_color(
+        problem, full, settings.shading_pixels, rng, texel_paths=settings.texel_paths
+    )
     bar.step("base colour", COLOR_UNITS)
 
     seen = seen_texels(problem.observations.uv, settings.texture)

@@ -1,0 +1,85 @@
+"""Light in details that are finer than the cells of interpolated shading."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.posterior import missed_light
+from pipeline.posterior.missed_light import paths_for, single_paths, with_missed_light
+from pipeline.posterior.shading import Shading, split_picture
+from pipeline.posterior.textures import gather, seen_texels
+from tests.seeds import numpy_rng
+
+PATHS = 2_000_000  # some 3000 for a seen texel: much more than its surroundings count as
+
+
+@pytest.fixture(scope="module")
+def matt(toy):
+    """The toy's truth without gloss."""
+    return replace(toy[1], roughness=np.ones_like(toy[1].roughness))
+
+
+@pytest.fixture(scope="module")
+def shading(problem, matt):
+    """D and S of all pixels, by 64 paths."""
+    everywhere = np.arange(len(problem.observations))
+    return Shading(*split_picture(problem, matt, everywhere, 64, numpy_rng(3)))
+
+
+def by_texel(problem, values: np.ndarray) -> np.ndarray:
+    """Mean of (n, 3) over the pixels nearest to each of 32 x 32 texels, and no others."""
+    texel = (problem.observations.uv * 32).astype(int).clip(0, 31) @ [1, 32]
+    count = np.bincount(texel)
+    return (np.bincount(texel, values.mean(1)) / np.maximum(count, 1))[count > 3]
+
+
+def test_what_all_photos_miss_is_put_right(problem, matt, shading):
+    """D is too bright by a quarter in stripes of two texels and too dark between them, in every
+    photo, as interpolation makes it where stripes are narrower than its cells.
+    """
+    stripes = np.where(np.arange(32) % 4 < 2, 1.25, 0.75).astype(np.float32)
+    wrong = gather(np.broadcast_to(stripes, (32, 32)), problem.observations.uv)
+    smooth = replace(shading, scaled=shading.scaled * wrong)
+    found = with_missed_light(problem, matt, smooth, PATHS, numpy_rng(0))
+
+    true = by_texel(problem, shading.scaled)
+    error = lambda of: np.abs(by_texel(problem, of.scaled) / true - 1).mean()
+    assert error(smooth) > 0.15 and error(found) < 0.5 * error(smooth)
+    assert (found.rest == shading.rest).all()
+
+
+def test_few_paths_add_little_noise(problem, matt, shading):
+    """One path a texel says next to nothing of one texel; the right D stays right."""
+    found = with_missed_light(problem, matt, shading, paths_for(problem, 32, 1), numpy_rng(0))
+    assert np.abs(found.scaled / shading.scaled - 1).mean() < 0.05
+
+
+def test_a_metals_shading_is_left_as_it_is(problem, matt, shading):
+    half = np.zeros((32, 32), np.float32)
+    half[:, 16:] = 1
+    both = replace(matt, metallic=half)
+    found = with_missed_light(problem, both, shading, 10_000, numpy_rng(0))
+    metal = gather(half, problem.observations.uv)[:, 0] == 1
+    assert np.allclose(found.scaled[metal], shading.scaled[metal], rtol=1e-5)
+    assert not np.allclose(found.scaled[~metal], shading.scaled[~metal], rtol=1e-3)
+
+
+@pytest.mark.parametrize("paths", [5, 2.5, 0.25])
+def test_paths_are_shared_out_among_all_pixels(problem, matt, monkeypatch, paths):
+    """In pieces too; and the sums are those of the pictures."""
+    monkeypatch.setattr(missed_light, "CHUNK", 1000)
+    pixels = len(problem.observations)
+    total, made = single_paths(problem, matt, round(paths * pixels), numpy_rng(0))
+    assert made.sum() == round(paths * pixels)
+    assert np.ptp(made) == (paths != 5)
+    assert (total[made[:, 0] == 0] == 0).all()
+    photo = problem.observations.rgb  # of the same texture under the same light, with some gloss
+    assert total.sum() / (made * photo).sum() == pytest.approx(1, abs=0.2)
+
+
+def test_paths_are_for_texels_that_are_seen_and_no_more_than_for_pixels(problem):
+    seen = int(seen_texels(problem.observations.uv, 32).sum())
+    assert paths_for(problem, 32, 24) == 24 * seen
+    assert paths_for(problem, 1024, 24) == 24 * len(problem.observations)
+    assert paths_for(problem, 32, 0) == 0
