@@ -89,7 +89,22 @@ def choice(points: list[Point], higher: bool, unit: str, what: str) -> str:
 
 
 def relight_choice(data: dict) -> str:
-    return choice(relight_points(data), True, " dB", "views under new light")
+    points = relight_points(data)
+    text = choice(points, True, " dB", "views under new light")
+    return f"{text}{unclear(points)}"
+
+
+def unclear(points: list[Point]) -> str:
+    """A sentence where the best one's lead over ours may be chance: its interval holds 0."""
+    ours = next((point for point in points if point.method == OURS), None)
+    if ours is None:
+        return ""
+    best = front(points, True)[-1]
+    lead = best.value - ours.value
+    if best is ours or lead > best.low:
+        return ""
+    reach = f"{lead - best.low:.1f} to {lead + best.high:.1f}"
+    return f" `{best.method}` less `{OURS}`, {lead:.1f} dB ({reach}), may be chance."
 
 
 def coverage_choice(data: dict) -> str:

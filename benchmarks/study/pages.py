@@ -4,11 +4,13 @@ committed rows.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection
 from pathlib import Path
 
 from benchmarks.study import agreement_table, yardstick_tables
 from benchmarks.study.front import coverage_choice, relight_choice, speed_against
+from benchmarks.study.losses import losses
 from benchmarks.study.methods import METHODS, YARDSTICKS
 from benchmarks.study.store import suite_folder, suite_rows
 from benchmarks.study.tables import (
@@ -27,7 +29,9 @@ def source(suite: str, methods: Collection[str] = METHODS) -> str:
     """The line below a table: where the rows of these methods come from."""
     rows = [row for row in suite_rows(suite)["rows"] if row["method"] in methods]
     said = lambda key: dict.fromkeys(row[key] for row in rows if row[key])
-    commands = ", ".join(f"`{command}`" for command in said("command"))
+    # made in pieces, of some scenes each, which the rows say
+    whole = lambda command: re.sub(r" --scenes [\w,]+(?= )", "", command)
+    commands = ", ".join(f"`{command}`" for command in dict.fromkeys(map(whole, said("command"))))
     folder = suite_folder(Path("study"), suite)
     link = f"[{folder}](../benchmarks/results/{folder}), a file for each row"
     made = "; ".join([commands, ", ".join(said("machine")), ", ".join(said("commit"))])
@@ -68,11 +72,16 @@ XS: dict[str, Callable[[dict], str]] = {
 }
 S: dict[str, Callable[[dict], str]] = {
     "study_s_scores": scores,
+    "study_s_draws": draws,
     "study_s_differences": differences,
     "study_s_by_scene": by_scene,
     "study_s_costs": costs,
     "study_s_levels": levels,
     "study_s_relight_choice": lambda data: f"{relight_choice(data)}\n\n{chart_source('S')}",
+    "study_s_coverage_choice": lambda data: coverage_choice(data) + "\n",
+    "study_s_yardsticks": lambda data: yardstick_tables.table(data) + source("S", YARDSTICKS),
+    "study_s_yardsticks_ahead": yardstick_tables.losers,
+    "study_s_losses": losses,
     "study_s_speed": lambda data: speed_against(data) + "\n",
     "study_s_source": lambda data: source("S"),
 }

@@ -121,12 +121,13 @@ def heading(key: str) -> str:
 
 
 def scores(data: dict) -> str:
-    """Every method's means over the scenes."""
+    """Means over the scenes of every method that has rows of all."""
     body = []
     for method in methods_in(data):
         cells = [f"`{method}`", number(seconds(data, method))]
         cells += [number(mean_of(data, method, key), METRICS[key].digits) for key in SHOWN]
-        body.append(cells)
+        if any(cells[1:]):
+            body.append(cells)
     return pipe_table(["method", "core s a draw", *(heading(key) for key in SHOWN)], body)
 
 

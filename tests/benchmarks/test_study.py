@@ -10,6 +10,7 @@ from PIL import Image
 
 from benchmarks.figures import pyplot
 from benchmarks.study import __main__ as study
+from benchmarks.study import pages
 from benchmarks.study.agreement_table import most, table
 from benchmarks.study.charts import chart, charts
 from benchmarks.study.front import (
@@ -19,9 +20,11 @@ from benchmarks.study.front import (
     front,
     relight_points,
     speed_against,
+    unclear,
 )
 from benchmarks.study.intervals import paired, views_of
 from benchmarks.study.labels import HEIGHT, apart, box_of
+from benchmarks.study.losses import losses
 from benchmarks.study.methods import METHODS, OURS, methods_named, scene_for
 from benchmarks.study.pictures import draw
 from benchmarks.study.store import suite_rows
@@ -32,6 +35,7 @@ from benchmarks.study.tables import (
     mean_of,
     printed,
     scene_mean,
+    scores,
     seconds,
 )
 from benchmarks.study.yardstick_tables import means
@@ -86,6 +90,22 @@ def test_means_are_of_scenes_and_only_where_all_have_rows(data):
     assert coverage_error(data, "map") is None
     data["rows"] = [r for r in data["rows"] if (r["scene"], r["method"]) != ("b", "map")]
     assert mean_of(data, "map", "relight_psnr") is None
+    assert "`map`" not in scores(data) and "`dpi_paper`" in scores(data)
+
+
+def test_pieces_of_a_study_are_named_as_one(monkeypatch):
+    """Rows name their scenes; the line below a table does not. A folder of scenes stays."""
+    command = "python -m benchmarks.study --suite S{} --samples 1 --out FOLDER"
+    said = [
+        command.format(" --scenes s_a__x_1,s_b__y_2"),
+        command.format(""),
+        "a --scenes F/s --out o",
+    ]
+    rows = [{"method": OURS, "command": c, "machine": "m", "commit": "c", "note": ""} for c in said]
+    monkeypatch.setattr(pages, "suite_rows", lambda suite: {"rows": rows})
+    line = pages.source("S")
+    assert line.count(command.format("")) == 1 and "s_a__x_1" not in line
+    assert "`a --scenes F/s --out o`" in line
 
 
 def test_times_of_two_machines_are_not_compared(data):
@@ -115,6 +135,17 @@ def test_tables_hold_paired_differences(data):
     assert "| `dpi_paper` | 18.50 | 19.50 |" in levels(data)
 
 
+def test_losses_name_scenes_and_by_how_much():
+    """Ours is at 20 and 21 dB; the other 1.5 behind in the first scene, 2 ahead in the second."""
+    other = rows_of("dpi_paper", 18.5, 1, scenes=("a",)) + rows_of("dpi_paper", 23, 1, ("b",))
+    for row in other:
+        row["scores"] = row["scores"] | {"relight_psnr_channel": 19.5}
+    text = losses({"rows": rows_of(OURS, 20, 5) + other})
+    assert text.startswith(f"`{OURS}` is behind `dpi_paper` on 1 of 2 scenes: b by 2.0 dB")
+    assert "(aligned +1.5)" in text and text.endswith("it is behind on 0.\n")
+    assert "on 0 of 1 scenes. " in losses({"rows": rows_of(OURS, 20, 5) + other[:2]})
+
+
 def test_views_are_paired_by_name():
     rows = rows_of(OURS, 20, 5, scenes=("a",))
     np.testing.assert_allclose(views_of(rows, "relight"), 20.5 + 0.1 * np.arange(4))
@@ -129,6 +160,13 @@ def test_bootstrap_interval_holds_the_mean_as_often_as_it_says():
     held = np.mean([low <= 0.5 <= high for _, low, high in found])
     assert 0.88 <= held <= 0.98
     assert np.isnan(paired(np.ones(1), np.zeros(1))[1])
+
+
+def test_a_lead_that_may_be_chance_is_said():
+    ours = Point(OURS, 5, 20, 0, 0)
+    clear, unclear_one = (Point("map", 9, 21, low, 2.0) for low in (0.5, 1.5))
+    assert unclear([ours, clear]) == "" and unclear([clear]) == ""
+    assert "1.0 dB (-0.5 to 3.0), may be chance" in unclear([ours, unclear_one])
 
 
 def test_front_is_what_nothing_beats():
