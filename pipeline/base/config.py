@@ -320,7 +320,7 @@ class Refine(Section):
     spp: int = Field(4, ge=2, le=1024, multiple_of=2)
     learning_rate: float = Field(0.02, gt=0, le=1)
     shading_pixels: int = Field(
-        200_000,
+        1_000_000,
         ge=256,
         description="pixels that are path traced for the base colour; the others' shading is "
         "interpolated",

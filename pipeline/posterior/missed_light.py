@@ -7,13 +7,13 @@ finished asset, path traced, is darker still: in the photos that garden was made
 same detail.
 
 So single paths are traced through all pixels. One says little, but those of a texel's pixels
-together say by how much a D + S is off there. With w the weight of a pixel and L what its path
-brings, the texel's D rises by
+together say by how much a D + S is off there. With L what a path brings, the texel's D rises by
 
-    E = sum w (L - a D - S) / sum w a
+    E = sum w (L - a D - S) / sum w a,    w = (a D / (a D + S))^2
 
-which is shrunk to that of the texels around it, coarse to fine, where paths are few
-(base_color.py). A metal's D moves with the view and is left as it is.
+times the pixel's own weight: where most of the light is a highlight, what that is wrong by is not
+taken for light on the surface. E is shrunk to that of the texels around it, coarse to fine, where
+paths are few (base_color.py). A metal's D moves with the view and is left as it is.
 """
 
 from __future__ import annotations
@@ -86,10 +86,12 @@ def with_missed_light(
     color = gather(explanation.base_color, uv)
     dielectric = 1 - gather(explanation.metallic, uv)
     radiance, made = single_paths(problem, explanation, paths, rng)
-    missed = radiance - made * (color * shading.scaled + shading.rest)
+    diffuse = color * shading.scaled
+    missed = radiance - made * (diffuse + shading.rest)
 
     solver = ColorSolver(problem.observations, shading, len(explanation.base_color))
-    weight = solver.cosine * dielectric
+    share = diffuse / np.maximum(diffuse + shading.rest, diffuse)
+    weight = solver.cosine * dielectric * share**2
     sums = TexelSums(
         solver.onto(weight * missed), solver.onto(weight * made * color), solver.onto(made)
     )

@@ -48,7 +48,8 @@ SCALE_PIXELS = 8  # pixels for the light's scale, as a multiple of a step's
 DARKEST_START = 0.02  # base colour: a black one has no direction to move in
 # factor by which roughness may move from a draw: the width of what one draw believes of a region
 ROUGHNESS_FACTOR = 1.3
-FEWER = 2  # part of a solve's traced pixels that do for a rung of the ladder, on coarse maps
+FEWER = 5  # part of the final solve's traced pixels that do for the first one, on coarse maps
+FEWEST = 10  # the same for the rungs of the ladder
 COARSE_PIXELS = 500_000  # observed pixels, at most, that coarse maps are made from: seven a texel
 COLOR_UNITS = 25  # progress: a base colour solve takes as long as so many of Adam's steps
 
@@ -218,7 +219,7 @@ def judged_gloss(
         why = "maps stay: too few photos to judge them by"
         return explanation, everywhere, {"gloss": {"why": why}}
 
-    few = settings.shading_pixels // FEWER
+    few = settings.shading_pixels // FEWEST
     solve = lambda of, x: solve_base_color(of, x, few, rng, USUAL)[0]
     found, maps, facts = climb(problem, explanation, parts, solve, rng)
     if maps.any():  # they are moved from colours of their own, not from those of a matt surface
@@ -262,7 +263,8 @@ def refine(
     coarse = replace(coarse, light=(sample.light * scale).astype(np.float32))
 
     some = with_pixels(small, some_pixels(small, rng))
-    coarse, first = solve_color_and_scale(some, coarse, settings.shading_pixels, rng)
+    few = settings.shading_pixels // FEWER
+    coarse, first = solve_color_and_scale(some, coarse, few, rng)
     bar.step("base colour", COLOR_UNITS)
     coarse, moves, tested = judged_gloss(small, coarse, settings, rng)
     if tested and not moves.any():  # moved pixel by pixel a number would become a map again

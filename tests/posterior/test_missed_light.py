@@ -83,3 +83,18 @@ def test_paths_are_for_texels_that_are_seen_and_no_more_than_for_pixels(problem)
     assert paths_for(problem, 32, 24) == 24 * seen
     assert paths_for(problem, 1024, 24) == 24 * len(problem.observations)
     assert paths_for(problem, 32, 0) == 0
+
+
+def test_what_a_highlight_is_wrong_by_is_not_light_on_the_surface(problem, matt, shading):
+    """Highlights are half as bright as they are, where they are nine tenths of the light."""
+    color = gather(matt.base_color, problem.observations.uv)
+    glossy = replace(shading, rest=9 * color * shading.scaled)
+    paths = np.repeat(1000, len(glossy.rest))[:, None].astype(np.float32)
+    radiance = paths * (color * glossy.scaled + 2 * glossy.rest)
+    wrong = lambda *_: (radiance, paths)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(missed_light, "single_paths", wrong)
+        half = np.arange(len(paths)) % 2 == 0  # the other half of each texel's pixels is matt
+        glossy.rest[half], radiance[half] = 0, (paths * color * glossy.scaled)[half]
+        found = with_missed_light(problem, matt, glossy, 1, numpy_rng(0))
+    assert np.abs(found.scaled / glossy.scaled - 1).mean() < 0.2
