@@ -366,10 +366,14 @@ def sky(
 # ---------------------------------------------------------------- cameras and rendering
 
 
-def cameras(seed: int) -> list[np.ndarray]:
-    """Camera-to-world matrices (OpenGL axes), hand-held jitter in place and aim."""
+def cameras(seed: int, views: int) -> list[np.ndarray]:
+    """Camera-to-world matrices (OpenGL axes), hand-held jitter in place and aim. views: 0 for as
+    many as RINGS says; with more than these the rings are filled, with fewer some are left out.
+    """
     rng, out = np.random.default_rng(seed), []
+    filled = max(views / sum(count for _, count in RINGS), 1)
     for ring, (elevation, count) in enumerate(RINGS):
+        count = int(np.ceil(filled * count))
         for k in range(count):
             a = 2 * np.pi * (k + 0.37 * ring) / count + rng.normal(0, 0.04)
             e = np.radians(elevation + rng.normal(0, 1.5))
@@ -383,7 +387,8 @@ def cameras(seed: int) -> list[np.ndarray]:
             m = np.eye(4)
             m[:3] = np.stack([x, np.cross(z, x), z, eye], 1)
             out.append(m)
-    return out
+    kept = np.linspace(0, len(out) - 1, views or len(out)).round().astype(int)
+    return [out[k] for k in kept]
 
 
 def sensor(c2w: np.ndarray, width=WIDTH, height=HEIGHT):
@@ -643,7 +648,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("examples/garden"))
     parser.add_argument("--spp", type=int, default=32)
     parser.add_argument(
-        "--views", type=int, default=0, help="only this many photos, spread out, for a quick look"
+        "--views", type=int, default=0, help="so many photos, spread out: few for a quick look"
     )
     parser.add_argument(
         "--truth-only", action="store_true", help="leave images/ as it is, make truth/ anew"
@@ -665,10 +670,7 @@ def main() -> None:
         (args.out / name).mkdir(parents=True, exist_ok=True)
 
     parts = build_parts(args.seed)
-    poses = cameras(args.seed)
-    if args.views:
-        spread_out = np.linspace(0, len(poses) - 1, args.views).round().astype(int)
-        poses = [poses[k] for k in np.unique(spread_out)]
+    poses = cameras(args.seed, args.views)
 
     env = sky(np.random.default_rng(args.seed + 1))
     scene = build_scene(parts, env)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import subprocess
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.base.apart import module_environment
 from pipeline.base.errors import InputError
 from pipeline.geometry.cameras import Rig
 from pipeline.geometry.mesh_io import Mesh, load_mesh, unit, vertex_normals
@@ -102,8 +102,8 @@ def _by_open3d(path: Path) -> Mesh:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "mesh.npz"
         command = [sys.executable, "-m", "pipeline.surface.read_mesh_file", str(path), str(out)]
-        env = os.environ | {"PYTHONPATH": os.pathsep.join(["", *sys.path])}
-        done = subprocess.run(command, capture_output=True, env=env, check=False)
+        environment = module_environment()
+        done = subprocess.run(command, capture_output=True, env=environment, check=False)
         if done.returncode < 0:
             name = signal.Signals(-done.returncode).name
             raise InputError(f"damaged: its reader crashed on it ({name})", path, EXPORT)

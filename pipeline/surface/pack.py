@@ -4,11 +4,6 @@ xatlas places chart after chart, largest first, where the page that holds all so
 and most square. It does not turn charts here: its own turn swaps u and v, which mirrors. So the
 quarter turns are sought around it: on a coarse page many turns of all charts are tried, each kept
 where the page becomes smaller, and the best is packed on the page itself.
-
-Three properties of xatlas are minded: it leaves out triangles below 1.2e-7 in area, in whatever
-unit, and lays other charts over them, so it gets coordinates in texels; it dilates every chart by
-the padding, so it gets half of it; it shrinks a chart that is wider than a given page, so it gets
-no page and says how large its own became.
 """
 
 from __future__ import annotations
@@ -16,6 +11,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from pipeline.base.apart import Call, apart
 from pipeline.base.errors import InputError
 
 Chart = tuple[np.ndarray, np.ndarray]  # coordinates (k, 2) and triangles (m, 3)
@@ -29,7 +25,6 @@ CHANGED = 0.2  # share of the charts that the other tries turn
 FITS = 12  # tries of the scale on the page itself at most
 LEAST = 0.1  # of the scale that the charts' area asks for: below, they are taken not to fit
 ENOUGH = 0.995  # of the page's side: closer is not sought
-LEFT_OUT = 2**32 - 1  # xatlas's chart of a vertex all of whose triangles it leaves out
 
 
 def packed(charts: list[Chart], resolution: int, padding: int) -> list[np.ndarray]:
@@ -39,11 +34,18 @@ def packed(charts: list[Chart], resolution: int, padding: int) -> list[np.ndarra
     charts: each the coordinates (k, 2) and triangles (m, 3) of one chart, all in one unit. Raises
     InputError where they do not fit.
     """
+    with apart("pipeline.surface.xatlas_page", "placed") as placed_by_xatlas:
+        return _packed(charts, resolution, padding, placed_by_xatlas)
+
+
+def _packed(
+    charts: list[Chart], resolution: int, padding: int, placed_by_xatlas: Call
+) -> list[np.ndarray]:
     half = (padding + 1) // 2
     inner = resolution - 2 * half
     boxed = [upright(uv) for uv, _ in charts]
     corners = [corner for _, corner in charts]
-    turns, scale = _best_turns(boxed, corners, inner, half / resolution)
+    turns, scale = _best_turns(boxed, corners, inner, half / resolution, placed_by_xatlas)
     lying = [turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
 
     best = None
@@ -52,7 +54,7 @@ def packed(charts: list[Chart], resolution: int, padding: int) -> list[np.ndarra
     for _ in range(FITS):
         if scale < least:
             break
-        placed, side = _placed([scale * uv for uv in lying], corners, half)
+        placed, side = placed_by_xatlas([scale * uv for uv in lying], corners, half)
         if side <= inner:
             best = placed
         if ENOUGH * inner <= side <= inner or (best is not None and side > inner):
@@ -68,7 +70,11 @@ def packed(charts: list[Chart], resolution: int, padding: int) -> list[np.ndarra
 
 
 def _best_turns(
-    boxed: list[np.ndarray], corners: list[np.ndarray], inner: int, margin: float
+    boxed: list[np.ndarray],
+    corners: list[np.ndarray],
+    inner: int,
+    margin: float,
+    placed_by_xatlas: Call,
 ) -> tuple[np.ndarray, float]:
     """Quarter turns of every chart (c,) with which the page is smallest, and the scale in texels
     per unit at which its side is `inner`. margin: texels around a chart, as share of the page.
@@ -85,7 +91,7 @@ def _best_turns(
     turns = best
     for k in range(tries):
         scaled = [scale * turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
-        side = _placed(scaled, corners, half)[1]
+        side = placed_by_xatlas(scaled, corners, half)[1]
         if side <= least:
             best = turns
             least = side
@@ -94,59 +100,6 @@ def _best_turns(
         changed[generator.integers(len(boxed))] = True
         turns = any_turns if k < RANDOM * tries else np.where(changed, any_turns, best)
     return best, scale * inner / least
-
-
-def _placed(
-    scaled: list[np.ndarray], corners: list[np.ndarray], half: int
-) -> tuple[list[np.ndarray], int]:
-    """Charts in texels as xatlas places them, no two nearer than 2 half texels, and the longer side
-    of the page that they take.
-    """
-    import xatlas
-
-    first = np.cumsum([0] + [len(uv) for uv in scaled])
-    faces = np.concatenate([start + corner for start, corner in zip(first, corners)])
-    number = np.repeat(np.arange(len(corners)), [len(corner) for corner in corners])
-    atlas = xatlas.Atlas()
-    atlas.add_uv_mesh(
-        np.concatenate(scaled).astype(np.float32),
-        faces.astype(np.uint32),
-        number[:, None].astype(np.uint32),  # as materials: what keeps charts apart
-    )
-    options = xatlas.PackOptions()
-    options.resolution = 0
-    options.texels_per_unit = 1.0
-    options.padding = half
-    options.bilinear = False
-    options.blockAlign = False
-    options.bruteForce = True
-    options.rotate_charts = False
-    options.rotate_charts_to_axis = False
-    atlas.generate(xatlas.ChartOptions(), options)
-
-    index, _, uv = atlas.get_mesh(0)
-    placed = np.full((first[-1], 2), np.nan)
-    known = atlas.get_mesh_vertex_assignment(0)[1] != LEFT_OUT
-    placed[index[known]] = (uv * [atlas.width, atlas.height])[known]
-    moved = [_moved(uv, to) for uv, to in zip(scaled, np.split(placed, first[1:-1]))]
-    return moved, max(atlas.width, atlas.height)
-
-
-def _moved(uv: np.ndarray, placed: np.ndarray) -> np.ndarray:
-    """A chart's coordinates (k, 2) moved as xatlas moved those of its vertices that it placed (the
-    others are NaN): along either axis scaled to whole texels, and shifted. A chart of which it
-    placed none covers no texel, wherever it lies.
-    """
-    known = np.flatnonzero(np.isfinite(placed[:, 0]))
-    if not len(known):
-        return uv - uv.min(0)
-    out = np.empty_like(uv)
-    for axis in range(2):
-        line = uv[known, axis]
-        low, high = known[np.argmin(line)], known[np.argmax(line)]
-        stretch = np.ptp(placed[[low, high], axis]) / max(np.ptp(line), 1e-12)
-        out[:, axis] = placed[low, axis] + stretch * (uv[:, axis] - uv[low, axis])
-    return out
 
 
 def chart_area(uv: np.ndarray, corner: np.ndarray) -> float:

@@ -1,16 +1,20 @@
 """Charts of a lumpy surface, and their packing."""
 
+import gc
 import warnings
 
 import numpy as np
 import pytest
+import xatlas
 from scipy import ndimage, sparse
 from scipy.sparse.csgraph import connected_components
 
+from pipeline.base.apart import apart
 from pipeline.base.config import Atlas
 from pipeline.base.errors import InputError
 from pipeline.base.runtime import import_open3d
 from pipeline.geometry.mesh_io import Mesh, vertex_normals
+from pipeline.surface import xatlas_page
 from pipeline.surface.atlas import judge, unwrap
 from pipeline.surface.charts import adjacency, cut, flattened, joined_charts, laid_flat
 from pipeline.surface.pack import packed
@@ -249,3 +253,30 @@ def test_tetrahedron_beside_a_ball_gets_an_atlas():
 def face_areas(mesh):
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
+
+
+def atlases_destroyed_by_a_page():
+    """How many atlases of xatlas `placed` has let go when it returns; called by `apart`, so that
+    the one it keeps ends with that process.
+    """
+    ended = []
+
+    class Noted(xatlas.Atlas):
+        def __del__(self):
+            ended.append(self)
+
+    xatlas_page.xatlas.Atlas = Noted
+    xatlas_page.placed([8 * SQUARE[0]], [SQUARE[1]], 1)
+    gc.collect()
+    return len(ended)
+
+
+def test_no_atlas_of_xatlas_is_destroyed():
+    """Its destructor waits for its threads, and now and then for ever."""
+    with apart("tests.surface.test_charts", "atlases_destroyed_by_a_page") as call:
+        assert call() == 0
+
+
+def test_this_process_makes_no_atlas_of_xatlas(monkeypatch):
+    monkeypatch.delattr(xatlas_page.xatlas, "Atlas")
+    assert len(packed([SQUARE] * 2, 64, 2)) == 2
