@@ -26,8 +26,8 @@ from pipeline.base.files import write_json
 from pipeline.base.progress import progress
 from pipeline.geometry.mesh_io import Mesh, load_mesh
 from pipeline.geometry.normal_maps import mirrored_share
-from pipeline.surface.atlas import evened, joined, judge, on_a_page, weld
-from pipeline.surface.charts import cut, flattened
+from pipeline.surface.atlas import flat_charts, joined, judge, on_a_page, weld
+from pipeline.surface.charts import cut
 from pipeline.surface.pack import chart_area
 
 SETTINGS = Atlas()
@@ -44,9 +44,8 @@ class Charts:
     def __init__(self, mesh: Mesh):
         start = time.process_time()
         self.mesh = mesh
-        self.even = evened(mesh)
+        self.even, self.flat = flat_charts(mesh)
         self.cut = cut(self.even, mesh.faces)
-        self.flat = flattened(self.even, mesh.faces, self.cut)
         self.corners = [np.searchsorted(c.index, mesh.faces[c.members]) for c in self.flat]
         self.seconds = time.process_time() - start
 

@@ -10,9 +10,16 @@ import numpy as np
 from pipeline.base.config import Atlas
 from pipeline.base.errors import InputError
 from pipeline.base.images import write_png
-from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh, vertex_normals
+from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh, unit, vertex_normals
 from pipeline.geometry.normal_maps import mirrored_share
-from pipeline.surface.charts import FlatChart, cut, cut_again, flattened
+from pipeline.surface.charts import (
+    FlatChart,
+    cut,
+    cut_again,
+    face_normals,
+    flattened,
+    triangle_areas,
+)
 from pipeline.surface.pack import packed
 from pipeline.surface.pack_tight import tightly_packed
 from pipeline.surface.plate import umbrella
@@ -21,6 +28,8 @@ from pipeline.surface.raster import rasterize
 PACK_AT = 1024  # texels along a side at which charts are packed at most
 PAGES = 4  # times that charts are packed at most, where some cover a texel twice
 EVENING = 10  # times that vertices are moved towards their neighbours before charts are cut
+MOVED = 0.01  # of the object's size: lumps of a mesh from photos are evened by less
+DISTORTED = 1.0  # mean doublings of area between surface and page: evening has taken the shape
 SHRUNK = 0.5  # of its true length a chart keeps at least: evening makes small loose parts vanish
 
 PACKERS = {"xatlas": packed, "tight": tightly_packed}
@@ -46,9 +55,36 @@ def unwrap(mesh: Mesh, settings: Atlas) -> tuple[Mesh, int]:
     charts nor take more texels than their surroundings. Above PACK_AT texels, charts are packed at
     that resolution, with the same share of the square as padding.
     """
+    return on_a_page(mesh, *flat_charts(mesh), settings)
+
+
+def flat_charts(mesh: Mesh) -> tuple[np.ndarray, list[FlatChart]]:
+    """The evened surface's vertices (n, 3) and the charts that are cut and laid flat on it.
+
+    Evening takes the lumps off a mesh from photos, and the shape off a coarse one with sharp edges.
+    Where areas are laid too unequally by that, vertices are moved by no more than MOVED.
+    """
     even = evened(mesh)
     charts = flattened(even, mesh.faces, cut(even, mesh.faces))
-    return on_a_page(mesh, even, charts, settings)
+    if doublings(mesh, charts) > DISTORTED:
+        even = held(even, mesh)
+        charts = flattened(even, mesh.faces, cut(even, mesh.faces))
+    return even, charts
+
+
+def doublings(mesh: Mesh, charts: list[FlatChart]) -> float:
+    """|log2| of a triangle's area laid flat over its own, at most 5, relative to all triangles', as
+    the surface's mean.
+    """
+    true = face_normals(mesh.vertices, mesh.faces)[1]
+    flat = np.zeros(len(mesh.faces))
+    for chart in charts:
+        corner = np.searchsorted(chart.index, mesh.faces[chart.members])
+        flat[chart.members] = triangle_areas(kept(chart, mesh), corner)
+    some = true > 0
+    ratio = flat[some] / true[some] * true.sum() / flat.sum()
+    size = np.abs(np.log2(np.maximum(ratio, 2.0**-5)))
+    return float(np.average(np.minimum(size, 5), weights=true[some]))
 
 
 def on_a_page(
@@ -100,6 +136,16 @@ def evened(mesh: Mesh) -> np.ndarray:
     out = mesh.vertices.astype(float)
     for _ in range(EVENING):
         out = out + 0.5 * (links @ out)
+    return out
+
+
+def held(even: np.ndarray, mesh: Mesh) -> np.ndarray:
+    """Evened vertices (n, 3), those that have moved further than MOVED only so far."""
+    size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    moved = even - mesh.vertices
+    far = np.linalg.norm(moved, axis=1) > MOVED * size
+    out = even.copy()
+    out[far] = mesh.vertices[far] + MOVED * size * unit(moved[far])
     return out
 
 

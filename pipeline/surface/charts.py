@@ -292,12 +292,12 @@ def _flat(
         if attempt is None:
             return None
         if _lies_flat(attempt, corner, area, grid):
-            laid = _areas(attempt, corner).sum()
+            laid = triangle_areas(attempt, corner).sum()
             return index, attempt * np.sqrt(area.sum() / max(laid, 1e-30))
     return None
 
 
-def _areas(uv: np.ndarray, corner: np.ndarray) -> np.ndarray:
+def triangle_areas(uv: np.ndarray, corner: np.ndarray) -> np.ndarray:
     """Signed areas (m,) of triangles laid flat."""
     a, b, c = (uv[corner[:, k]] for k in range(3))
     return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
@@ -305,7 +305,7 @@ def _areas(uv: np.ndarray, corner: np.ndarray) -> np.ndarray:
 
 def _lies_flat(uv: np.ndarray, corner: np.ndarray, area: np.ndarray, grid: int) -> bool:
     """Whether no triangle is folded over and none lies over another on a grid."""
-    laid = _areas(uv, corner)
+    laid = triangle_areas(uv, corner)
     laid *= area.sum() / max(laid.sum(), 1e-30)
     if (laid < FOLD * area).any() or area[laid < SQUEEZED * area].sum() > 0.02 * area.sum():
         return False

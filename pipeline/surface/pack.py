@@ -1,9 +1,10 @@
 """Packing flat charts into one square with xatlas.
 
-xatlas places chart after chart, largest first, where the page that holds all so far stays smallest
-and most square. It does not turn charts here: its own turn swaps u and v, which mirrors. So the
-quarter turns are sought around it: on a coarse page many turns of all charts are tried, each kept
-where the page becomes smaller, and the best is packed on the page itself.
+xatlas places chart after chart, largest first, where the page that holds all so far stays smallest,
+on a page that begins as wide as the square. It does not turn charts here: its own turn swaps u and
+v, which mirrors. So the quarter turns are sought around it: on a coarse page many turns of all
+charts are tried, each kept where the page becomes smaller, and the best is packed on the page
+itself.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ Chart = tuple[np.ndarray, np.ndarray]  # coordinates (k, 2) and triangles (m, 3)
 COARSE = 512  # texels along the page on which turns are sought
 DENSITY = 0.6  # share of the page that charts are taken to cover at first
 MOST_TRIES = 48  # of turns
-WORK = 4000  # charts times tries: with many charts, how each lies matters less
-RANDOM = 1 / 3  # share of the tries in which every chart is turned, not a few of the best try's
-CHANGED = 0.2  # share of the charts that the other tries turn
+WORK = 8000  # charts times tries: with many charts, how each lies matters less
+HALVES = 1 / 3  # share of the tries in which all lie along the page, at random upside down
+CHANGED = 0.05  # share of the charts that the other tries turn
 FITS = 12  # tries of the scale on the page itself at most
 LEAST = 0.1  # of the scale that the charts' area asks for: below, they are taken not to fit
-ENOUGH = 0.995  # of the page's side: closer is not sought
+WIDE = 0.98  # of the square: how wide the page is when it begins; it may grow by some texels
+ENOUGH = 0.995  # of a scale that is too large: closer is not sought
 
 
 def packed(charts: list[Chart], resolution: int, padding: int) -> list[np.ndarray]:
@@ -49,17 +51,29 @@ def _packed(
     lying = [turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
 
     best = None
+    longest = max(float(np.ptp(uv, axis=0).max()) for uv in lying)
+    scale = min(scale, (inner - 1) / max(longest, 1e-30))
     area = sum(chart_area(*chart) for chart in charts)
     least = LEAST * (resolution**2 / area) ** 0.5
+    fits, too_large, step = least, np.inf, ENOUGH
     for _ in range(FITS):
-        if scale < least:
+        placed, sides = placed_by_xatlas(
+            [scale * uv for uv in lying], corners, half, int(WIDE * inner)
+        )
+        if max(sides) <= inner:
+            best, fits = placed, scale
+        else:
+            too_large = scale
+        if fits > ENOUGH * too_large:
             break
-        placed, side = placed_by_xatlas([scale * uv for uv in lying], corners, half)
-        if side <= inner:
-            best = placed
-        if ENOUGH * inner <= side <= inner or (best is not None and side > inner):
-            break
-        scale *= 0.999 * inner / side
+        asked = scale * inner / float(np.prod(sides)) ** 0.5
+        if scale == fits:
+            scale = max(asked, scale / ENOUGH)
+        else:
+            scale = min(asked, scale * step)
+            step **= 2  # the page's area says little where one chart alone makes it wide
+        if not fits < scale < too_large:
+            scale = 0.5 * (fits + too_large)
     if best is None:
         raise InputError(
             f"{len(charts)} charts do not fit into {resolution} x {resolution} texels",
@@ -77,7 +91,8 @@ def _best_turns(
     placed_by_xatlas: Call,
 ) -> tuple[np.ndarray, float]:
     """Quarter turns of every chart (c,) with which the page is smallest, and the scale in texels
-    per unit at which its side is `inner`. margin: texels around a chart, as share of the page.
+    per unit at which it has the area of `inner` squared. margin: texels around a chart, as share
+    of the page.
     """
     coarse = min(COARSE, inner)
     half = int(np.ceil(margin * coarse))
@@ -86,20 +101,21 @@ def _best_turns(
     tries = int(np.clip(WORK / len(boxed), 4, MOST_TRIES))
     generator = np.random.default_rng(0)
 
-    best = np.array([int(np.ptp(uv[:, 0]) < np.ptp(uv[:, 1])) for uv in boxed])
+    along = np.array([int(np.ptp(uv[:, 0]) < np.ptp(uv[:, 1])) for uv in boxed])
     least = np.inf
-    turns = best
+    best = turns = along
     for k in range(tries):
         scaled = [scale * turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
-        side = placed_by_xatlas(scaled, corners, half)[1]
-        if side <= least:
+        page = float(np.prod(placed_by_xatlas(scaled, corners, half, int(WIDE * coarse))[1]))
+        if page <= least:
             best = turns
-            least = side
-        any_turns = generator.integers(0, 4, len(boxed))
+            least = page
+        halves = along + 2 * generator.integers(0, 2, len(boxed))
         changed = generator.random(len(boxed)) < CHANGED
         changed[generator.integers(len(boxed))] = True
-        turns = any_turns if k < RANDOM * tries else np.where(changed, any_turns, best)
-    return best, scale * inner / least
+        others = np.where(changed, generator.integers(0, 4, len(boxed)), best)
+        turns = halves if k < HALVES * tries else others
+    return best, scale * inner / least**0.5
 
 
 def chart_area(uv: np.ndarray, corner: np.ndarray) -> float:

@@ -21,18 +21,24 @@ LEFT_OUT = 2**32 - 1  # xatlas's chart of a vertex all of whose triangles it lea
 
 
 def placed(
-    scaled: list[np.ndarray], corners: list[np.ndarray], half: int
-) -> tuple[list[np.ndarray], int]:
-    """Charts in texels as xatlas places them, no two nearer than 2 half texels, and the longer side
-    of the page that they take.
+    scaled: list[np.ndarray], corners: list[np.ndarray], half: int, width: int
+) -> tuple[list[np.ndarray], tuple[int, int]]:
+    """Charts in texels as xatlas places them on a page that is at least so wide, no two nearer than
+    2 half texels, and the page's sides in u and v.
+
+    xatlas lets a page that begins empty grow where many thin charts are longest. So a bar as wide
+    as the page, one texel high, is placed before all others, and taken out again.
     """
-    first = np.cumsum([0] + [len(uv) for uv in scaled])
-    faces = np.concatenate([start + corner for start, corner in zip(first, corners)])
-    number = np.repeat(np.arange(len(corners)), [len(corner) for corner in corners])
+    bar = np.array([[0, 0], [width - 1, 0], [width - 1, 1], [0, 1]], float)
+    shapes = [*scaled, bar]
+    triangles = [*corners, np.array([[0, 1, 2], [0, 2, 3]])]
+    first = np.cumsum([0] + [len(uv) for uv in shapes])
+    faces = np.concatenate([start + corner for start, corner in zip(first, triangles)])
+    number = np.repeat(np.arange(len(triangles)), [len(corner) for corner in triangles])
     atlas = xatlas.Atlas()
     hold(atlas)
     atlas.add_uv_mesh(
-        np.concatenate(scaled).astype(np.float32),
+        np.concatenate(shapes).astype(np.float32),
         faces.astype(np.uint32),
         number[:, None].astype(np.uint32),  # as materials: what keeps charts apart
     )
@@ -48,11 +54,12 @@ def placed(
     atlas.generate(xatlas.ChartOptions(), options)
 
     index, _, uv = atlas.get_mesh(0)
-    placed = np.full((first[-1], 2), np.nan)
+    places = np.full((first[-1], 2), np.nan)
     known = atlas.get_mesh_vertex_assignment(0)[1] != LEFT_OUT
-    placed[index[known]] = (uv * [atlas.width, atlas.height])[known]
-    moved = [_moved(uv, to) for uv, to in zip(scaled, np.split(placed, first[1:-1]))]
-    return moved, max(atlas.width, atlas.height)
+    places[index[known]] = (uv * [atlas.width, atlas.height])[known]
+    moved = [_moved(uv, to) for uv, to in zip(scaled, np.split(places, first[1:-1]))]
+    under = int(np.nanmin(places[: first[-2], 1], initial=0))
+    return [uv - [0, under] for uv in moved], (atlas.width, atlas.height - under)
 
 
 def _moved(uv: np.ndarray, placed: np.ndarray) -> np.ndarray:

@@ -15,8 +15,14 @@ from pipeline.base.errors import InputError
 from pipeline.base.runtime import import_open3d
 from pipeline.geometry.mesh_io import Mesh, vertex_normals
 from pipeline.surface import xatlas_page
-from pipeline.surface.atlas import judge, unwrap
-from pipeline.surface.charts import adjacency, cut, flattened, joined_charts, laid_flat
+from pipeline.surface.atlas import doublings, evened, flat_charts, judge, unwrap
+from pipeline.surface.charts import (
+    adjacency,
+    cut,
+    flattened,
+    joined_charts,
+    laid_flat,
+)
 from pipeline.surface.pack import packed
 from pipeline.surface.raster import rasterize
 from tests.seeds import numpy_rng
@@ -255,6 +261,29 @@ def face_areas(mesh):
     return np.cross(b - a, c - a)
 
 
+def test_a_coarse_mesh_keeps_its_shape_on_the_page():
+    """A box of long triangles: evening without a limit makes a ball of it, on whose page areas are
+    off by more than a factor of two in the mean.
+    """
+    found = import_open3d().geometry.TriangleMesh.create_box(1.0, 0.6, 0.4).subdivide_midpoint(1)
+    vertices = np.asarray(found.vertices)
+    faces = np.asarray(found.triangles).astype(np.int64)
+    mesh = Mesh(vertices, faces, vertex_normals(vertices, faces))
+    ball = evened(mesh)
+    assert doublings(mesh, flattened(ball, faces, cut(ball, faces))) > 1.0
+    even, charts = flat_charts(mesh)
+    assert doublings(mesh, charts) < 0.8
+    assert np.abs(even - vertices).max() <= 0.0101 * np.linalg.norm([1.0, 0.6, 0.4])
+
+
+def test_many_thin_charts_do_not_make_the_page_long():
+    """Bars lie side by side: a page that begins empty grows longest where they are long."""
+    bars = [(SQUARE[0] * [1, 0.02], SQUARE[1])] * 40
+    places = packed(bars, 256, 2)
+    page = np.ptp(np.concatenate(places), axis=0)
+    assert page.min() > 0.8 * page.max()
+
+
 def atlases_destroyed_by_a_page():
     """How many atlases of xatlas `placed` has let go when it returns; called by `apart`, so that
     the one it keeps ends with that process.
@@ -266,7 +295,7 @@ def atlases_destroyed_by_a_page():
             ended.append(self)
 
     xatlas_page.xatlas.Atlas = Noted
-    xatlas_page.placed([8 * SQUARE[0]], [SQUARE[1]], 1)
+    xatlas_page.placed([8 * SQUARE[0]], [SQUARE[1]], 1, 16)
     gc.collect()
     return len(ended)
 
