@@ -20,6 +20,7 @@ from benchmarks.study.tables import (
     differences,
     draws,
     levels,
+    likeness,
     scores,
 )
 from benchmarks.tables import committed
@@ -72,6 +73,7 @@ XS: dict[str, Callable[[dict], str]] = {
 }
 S: dict[str, Callable[[dict], str]] = {
     "study_s_scores": scores,
+    "study_s_likeness": likeness,
     "study_s_draws": draws,
     "study_s_differences": differences,
     "study_s_by_scene": by_scene,

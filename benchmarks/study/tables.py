@@ -23,6 +23,15 @@ SHOWN = (
     "roughness_mse",
     "metallic_mse",
 )
+LIKENESS = (
+    "relight_psnr",
+    "relight_ssim",
+    "relight_flip",
+    "novel_view_psnr",
+    "novel_view_ssim",
+    "novel_view_flip",
+    "light_ssim",
+)
 TOGETHER = (
     "relight_psnr_of_mean",
     "crps_relight",
@@ -124,19 +133,29 @@ def scores(data: dict) -> str:
     """Means over the scenes of every method that has rows of all."""
     body = []
     for method in methods_in(data):
-        cells = [f"`{method}`", number(seconds(data, method))]
-        cells += [number(mean_of(data, method, key), METRICS[key].digits) for key in SHOWN]
+        cells = [f"`{method}`", number(seconds(data, method)), *means(data, method, SHOWN)]
         if any(cells[1:]):
             body.append(cells)
     return pipe_table(["method", "core s a draw", *(heading(key) for key in SHOWN)], body)
+
+
+def means(data: dict, method: str, keys: tuple[str, ...]) -> list[str]:
+    """Cells with a method's means over scenes."""
+    return [number(mean_of(data, method, key), METRICS[key].digits) for key in keys]
+
+
+def likeness(data: dict) -> str:
+    """How like the true pictures the rendered ones are, by three measures of it."""
+    body = [[f"`{method}`", *means(data, method, LIKENESS)] for method in methods_in(data)]
+    kept = [cells for cells in body if any(cells[1:])]
+    return pipe_table(["method", *(heading(key) for key in LIKENESS)], kept)
 
 
 def draws(data: dict) -> str:
     """What several draws say together."""
     body = []
     for method in methods_in(data):
-        cells = [f"`{method}`"]
-        cells += [number(mean_of(data, method, key), METRICS[key].digits) for key in TOGETHER]
+        cells = [f"`{method}`", *means(data, method, TOGETHER)]
         cells += [number(coverage_of(data, method, n), 2) for n in ("50%", "80%", "95%")]
         if any(cells[1:]):
             body.append(cells)
