@@ -6,8 +6,9 @@ finished asset, path traced, is darker still: in the photos that garden was made
 .27 dB worse than the solve says. Sharing D between photos does not help, for all of them miss the
 same detail.
 
-So single paths are traced through all pixels. One says little, but those of a texel's pixels
-together say by how much a D + S is off there. With L what a path brings, the texel's D rises by
+So single paths are traced through all pixels that show no metal. One says little, but those of a
+texel's pixels together say by how much a D + S is off there. With L what a path brings, the texel's
+D rises by
 
     E = sum w (L - a D - S) / sum w a,    w = (a D / (a D + S))^2
 
@@ -31,39 +32,50 @@ from pipeline.render.renderer import Explanation
 # paths that a texel's surroundings count as, at every level: one path's error is about as large
 # as D, and what the cells miss a fifteenth of that
 AROUND = 256.0
+METAL = 0.95  # metallic from which on there is next to no D that paths could put right
 CHUNK = 1 << 19  # pixels at a time
 
 
-def paths_for(problem: Problem, side: int, texel_paths: float) -> int:
-    """How many paths are `texel_paths` for every seen texel of a map of that side, or for every
-    observed pixel where these are fewer.
+def unmetallic_pixels(problem: Problem, explanation: Explanation) -> np.ndarray:
+    """The observed pixels that show anything but metal."""
+    metallic = gather(explanation.metallic, problem.observations.uv)[:, 0]
+    return np.flatnonzero(metallic < METAL)
+
+
+def paths_for(problem: Problem, pixels: np.ndarray, side: int, texel_paths: float) -> int:
+    """How many paths are `texel_paths` for every texel of a map of that side that these pixels
+    show, or for every one of them where they are fewer.
     """
-    observations = problem.observations
-    texels = int(seen_texels(observations.uv, side).sum())
-    return round(texel_paths * min(texels, len(observations)))
+    texels = int(seen_texels(problem.observations.uv[pixels], side).sum())
+    return round(texel_paths * min(texels, len(pixels)))
 
 
 def single_paths(
-    problem: Problem, explanation: Explanation, paths: int, rng: np.random.Generator
+    problem: Problem,
+    explanation: Explanation,
+    pixels: np.ndarray,
+    paths: int,
+    rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sums (n, 3) of the radiance of `paths` paths over all observed pixels, and how many there are
-    through each (n, 1): as many through one as through another, and one more through some.
+    """Sums (n, 3) of the radiance of `paths` paths over `pixels` of the n observed ones, and how
+    many there are through each (n, 1): as many through one as through another, and one more through
+    some.
     """
     observations, renderer = problem.observations, problem.renderer
     renderer.set(explanation)
     total = np.zeros((len(observations), 3), np.float32)
     made = np.zeros((len(observations), 1), np.float32)
 
-    def trace(pixels: np.ndarray, spp: int) -> None:
-        for index in in_chunks(pixels):
+    def trace(some: np.ndarray, spp: int) -> None:
+        for index in in_chunks(some):
             rays = partial(observations.rays, index)
             total[index] += spp * renderer.mean_radiance(rays, spp, renderer_seed(rng))
             made[index] += spp
 
-    each, more = divmod(paths, len(observations))
+    each, more = divmod(paths, len(pixels))
     if each:
-        trace(np.arange(len(observations)), each)
-    trace(np.sort(rng.choice(len(observations), more, replace=False)), 1)
+        trace(pixels, each)
+    trace(pixels[np.sort(rng.choice(len(pixels), more, replace=False))], 1)
     return total, made
 
 
@@ -76,16 +88,21 @@ def with_missed_light(
     problem: Problem,
     explanation: Explanation,
     shading: Shading,
-    paths: int,
+    texel_paths: float,
     rng: np.random.Generator,
 ) -> Shading:
-    """`shading` of the explanation, with what `paths` paths through single pixels show beyond it
-    added to D where the surface is no metal. Its base colour must not be zero anywhere.
+    """`shading` of the explanation, with what paths through single pixels, `texel_paths` for every
+    texel, show beyond it added to D where the surface is no metal. Its base colour must not be zero
+    anywhere.
     """
+    pixels = unmetallic_pixels(problem, explanation)
+    paths = paths_for(problem, pixels, len(explanation.base_color), texel_paths)
+    if not paths:
+        return shading
     uv = problem.observations.uv
     color = gather(explanation.base_color, uv)
     dielectric = 1 - gather(explanation.metallic, uv)
-    radiance, made = single_paths(problem, explanation, paths, rng)
+    radiance, made = single_paths(problem, explanation, pixels, paths, rng)
     diffuse = color * shading.scaled
     missed = radiance - made * (diffuse + shading.rest)
 

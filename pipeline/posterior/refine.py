@@ -33,7 +33,7 @@ from pipeline.posterior.base_color import (
 from pipeline.posterior.ladder import climb
 from pipeline.posterior.left_out import folds, with_pixels
 from pipeline.posterior.material_optimizer import MaterialOptimizer
-from pipeline.posterior.missed_light import paths_for, with_missed_light
+from pipeline.posterior.missed_light import with_missed_light
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import Shading, shade
 from pipeline.posterior.split_gibbs.normal_spread import per_axis
@@ -85,9 +85,8 @@ def solve_base_color(
     `sharpness` and the facts are those of `color_map`.
     """
     begin, shading = shading_by_color(problem, explanation, pixels, rng)
-    paths = paths_for(problem, len(begin.base_color), texel_paths)
-    if paths:
-        shading = with_missed_light(problem, begin, shading, paths, rng)
+    if texel_paths:
+        shading = with_missed_light(problem, begin, shading, texel_paths, rng)
     color, facts = color_map(problem.observations, shading, begin.base_color, sharpness)
     return replace(begin, base_color=color), facts
 

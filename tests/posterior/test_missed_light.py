@@ -11,7 +11,7 @@ from pipeline.posterior.shading import Shading, split_picture
 from pipeline.posterior.textures import gather, seen_texels
 from tests.seeds import numpy_rng
 
-PATHS = 2_000_000  # some 3000 for a seen texel: much more than its surroundings count as
+PATHS = 3000  # for a texel: much more than its surroundings count as
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_what_all_photos_miss_is_put_right(problem, matt, shading):
 
 def test_few_paths_add_little_noise(problem, matt, shading):
     """One path a texel says next to nothing of one texel; the right D stays right."""
-    found = with_missed_light(problem, matt, shading, paths_for(problem, 32, 1), numpy_rng(0))
+    found = with_missed_light(problem, matt, shading, 1, numpy_rng(0))
     assert np.abs(found.scaled / shading.scaled - 1).mean() < 0.05
 
 
@@ -59,7 +59,7 @@ def test_a_metals_shading_is_left_as_it_is(problem, matt, shading):
     half = np.zeros((32, 32), np.float32)
     half[:, 16:] = 1
     both = replace(matt, metallic=half)
-    found = with_missed_light(problem, both, shading, 10_000, numpy_rng(0))
+    found = with_missed_light(problem, both, shading, 15, numpy_rng(0))
     metal = gather(half, problem.observations.uv)[:, 0] == 1
     assert np.allclose(found.scaled[metal], shading.scaled[metal], rtol=1e-5)
     assert not np.allclose(found.scaled[~metal], shading.scaled[~metal], rtol=1e-3)
@@ -69,20 +69,37 @@ def test_a_metals_shading_is_left_as_it_is(problem, matt, shading):
 def test_paths_are_shared_out_among_all_pixels(problem, matt, monkeypatch, paths):
     """In pieces too; and the sums are those of the pictures."""
     monkeypatch.setattr(missed_light, "CHUNK", 1000)
-    pixels = len(problem.observations)
-    total, made = single_paths(problem, matt, round(paths * pixels), numpy_rng(0))
-    assert made.sum() == round(paths * pixels)
-    assert np.ptp(made) == (paths != 5)
+    pixels = np.arange(0, len(problem.observations), 2)
+    total, made = single_paths(problem, matt, pixels, round(paths * len(pixels)), numpy_rng(0))
+    assert made.sum() == round(paths * len(pixels))
+    assert np.ptp(made[pixels]) == (paths != 5) and made[1::2].sum() == 0
     assert (total[made[:, 0] == 0] == 0).all()
     photo = problem.observations.rgb  # of the same texture under the same light, with some gloss
     assert total.sum() / (made * photo).sum() == pytest.approx(1, abs=0.2)
 
 
 def test_paths_are_for_texels_that_are_seen_and_no_more_than_for_pixels(problem):
-    seen = int(seen_texels(problem.observations.uv, 32).sum())
-    assert paths_for(problem, 32, 24) == 24 * seen
-    assert paths_for(problem, 1024, 24) == 24 * len(problem.observations)
-    assert paths_for(problem, 32, 0) == 0
+    pixels = np.arange(0, len(problem.observations), 2)
+    seen = int(seen_texels(problem.observations.uv[pixels], 32).sum())
+    assert paths_for(problem, pixels, 32, 24) == 24 * seen
+    assert paths_for(problem, pixels, 1024, 24) == 24 * len(pixels)
+    assert paths_for(problem, pixels, 32, 0) == 0
+
+
+def test_a_metal_takes_no_paths(problem, matt, shading, monkeypatch):
+    """They would tell nothing of it. A half that is metal takes none, the other its share."""
+    asked = []
+    paths = missed_light.single_paths
+    noted = lambda *args: asked.append(args[2]) or paths(*args)
+    monkeypatch.setattr(missed_light, "single_paths", noted)
+    metal = np.ones((32, 32), np.float32)
+    found = with_missed_light(problem, replace(matt, metallic=metal), shading, 1, numpy_rng(0))
+    assert found is shading and not asked
+    metal[:, :16] = 0
+    with_missed_light(problem, replace(matt, metallic=metal), shading, 1, numpy_rng(0))
+    (pixels,) = asked
+    assert 0 < len(pixels) < len(problem.observations)
+    assert (gather(metal, problem.observations.uv[pixels]) < 1).all()
 
 
 def test_what_a_highlight_is_wrong_by_is_not_light_on_the_surface(problem, matt, shading):

@@ -158,8 +158,10 @@ def test_what_refinement_must_know_of_a_sampler_has_no_default(tmp_path):
 
 @pytest.mark.parametrize("name", list(SAMPLERS))
 def test_sampler_explains_the_photos_from_its_seed(problem, start, name):
-    """A draw in between must not matter, another seed must, and the median pixel is right to 15 %
-    where steps suffice.
+    """A draw in between must not matter, another seed must, and where steps suffice the light's
+    level on these materials is right: 30 % more or less of it explains the photos worse. (Draws
+    know a texture by its regions only. What it is within them leaves the median pixel an error of
+    .13, with a deviation of .011 over 30 draws from seven seeds; 30 % of level add .06 or more.)
     """
     prior = load_prior("prior_small")
     a, b, again = (SAMPLERS[name](problem, prior, start[0], SMALL, seeded(k))[0] for k in (0, 1, 0))
@@ -170,4 +172,7 @@ def test_sampler_explains_the_photos_from_its_seed(problem, start, name):
     assert a.light.shape == (32, 64, 3) and a.base_color.max() <= 1
     assert (name == "map") == np.array_equal(a.light, b.light)
     if name in ("split_gibbs", "gaussian", "map"):  # eight guided steps are too few for the others
-        assert median_error(problem, a) < 0.15
+        error, *wrong = (
+            median_error(problem, replace(a, light=level * a.light)) for level in (1, 1.3, 1 / 1.3)
+        )
+        assert error < min(wrong) and error < 0.2
