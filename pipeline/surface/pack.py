@@ -21,7 +21,7 @@ COARSE = 512  # texels along the page on which turns are sought
 DENSITY = 0.6  # share of the page that charts are taken to cover at first
 MOST_TRIES = 48  # of turns
 WORK = 8000  # charts times tries: with many charts, how each lies matters less
-HALVES = 1 / 3  # share of the tries in which all lie along the page, at random upside down
+ANEW = 1 / 3  # share of the tries that turn all charts anew
 CHANGED = 0.05  # share of the charts that the other tries turn
 FITS = 12  # tries of the scale on the page itself at most
 LEAST = 0.1  # of the scale that the charts' area asks for: below, they are taken not to fit
@@ -106,16 +106,25 @@ def _best_turns(
     best = turns = along
     for k in range(tries):
         scaled = [scale * turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
-        page = float(np.prod(placed_by_xatlas(scaled, corners, half, int(WIDE * coarse))[1]))
+        page = _page(placed_by_xatlas(scaled, corners, half, int(WIDE * coarse))[1], coarse)
         if page <= least:
             best = turns
             least = page
-        halves = along + 2 * generator.integers(0, 2, len(boxed))
+        upside_down = along + 2 * generator.integers(0, 2, len(boxed))
+        anyhow = generator.integers(0, 4, len(boxed))
         changed = generator.random(len(boxed)) < CHANGED
         changed[generator.integers(len(boxed))] = True
         others = np.where(changed, generator.integers(0, 4, len(boxed)), best)
-        turns = halves if k < HALVES * tries else others
+        turns = others if k >= ANEW * tries else upside_down if k % 2 == 0 else anyhow
     return best, scale * inner / least**0.5
+
+
+def _page(sides: tuple[int, int], coarse: int) -> float:
+    """The area that a page of these sides in u and v takes of a square: its own, for charts of
+    another scale would make it as wide and less high; that of the square around it where it has
+    grown wider than it began.
+    """
+    return float(np.prod(sides)) if sides[0] <= coarse else float(max(sides)) ** 2
 
 
 def chart_area(uv: np.ndarray, corner: np.ndarray) -> float:

@@ -23,7 +23,7 @@ from pipeline.surface.charts import (
     joined_charts,
     laid_flat,
 )
-from pipeline.surface.pack import packed
+from pipeline.surface.pack import DENSITY, _best_turns, packed
 from pipeline.surface.raster import rasterize
 from tests.seeds import numpy_rng
 
@@ -282,6 +282,20 @@ def test_many_thin_charts_do_not_make_the_page_long():
     places = packed(bars, 256, 2)
     page = np.ptp(np.concatenate(places), axis=0)
     assert page.min() > 0.8 * page.max()
+
+
+def test_turns_that_make_the_page_too_wide_are_not_taken():
+    """For such a page is shrunk in both directions until its width fits, however low it is."""
+    boxes = [SQUARE[0] * [4, 1], SQUARE[0] * [3, 1], SQUARE[0] * [2, 1]]
+
+    def as_if_placed(charts, corners, half, width):
+        lies = all(np.ptp(uv[:, 0]) > np.ptp(uv[:, 1]) for uv in charts)
+        return charts, (100, 100) if lies else (150, 50)
+
+    turns, scale = _best_turns(boxes, [SQUARE[1]] * 3, 100, 0.01, as_if_placed)
+    assert (turns % 2 == 0).all()
+    area = sum(areas(uv, SQUARE[1]).sum() for uv in boxes)
+    assert np.isclose(scale, (DENSITY * 100**2 / area) ** 0.5)
 
 
 def atlases_destroyed_by_a_page():
