@@ -292,10 +292,10 @@ class Sample(Section):
         description="split_gibbs: rows of the light in the operator; divides the prior's rows",
     )
     search_prior: str = Field(
-        "gaussian_small", description="split_gibbs: Gaussian prior of the search's light"
+        "gaussian_small", description="split_gibbs: Gaussian prior of the starts' lights"
     )
     search_points: int = Field(
-        250, ge=10, description="split_gibbs: points for the search of start materials"
+        250, ge=10, description="split_gibbs: points that the starts' lights are fitted to"
     )
     region_steps: int = Field(
         100, ge=1, description="split_gibbs: Metropolis-Hastings steps of the materials per turn"
@@ -396,7 +396,7 @@ REMOVED = {
     "observe.seed": "remove the line: photos that you name in transforms_test.json are held out, "
     "else always the same",
     "poses.seed": "remove the line: it changed nothing but the order of random tries",
-    "sample.search_sweeps": "remove the line: the search always makes two sweeps",
+    "sample.search_sweeps": "remove the line: there is no search any more",
     "sample.seed": "remove the line: sample k is drawn from seed k; raise `samples` for more draws",
 }
 

@@ -20,7 +20,7 @@ def test_preset_lies_under_the_scene(tmp_path):
         ({"photos": "x", "observe": {"seed": 3}}, ["any more", "transforms_test.json"]),
         ({"photos": "x", "fit": {"seed": 3}}, ["any more", "remove the line"]),
         ({"photos": "x", "sample": {"seed": 3}}, ["any more", "raise `samples`"]),
-        ({"photos": "x", "sample": {"search_sweeps": 3}}, ["any more", "two sweeps"]),
+        ({"photos": "x", "sample": {"search_sweeps": 3}}, ["any more", "no search"]),
         ({"photos": "x", "samples": 0}, ["samples", "greater than or equal to 1"]),
         ({"photos": "x", "preset": "drfat"}, ["drfat", "draft"]),
         ({"photos": "x", "preset": "é" * 200}, ["unknown preset"]),

@@ -89,19 +89,29 @@ def test_kernels_change_no_state_they_are_given(problem, start):
     assert RowLikelihood.of(model.mixer, ends[0]).value(light) != value
 
 
-def test_starts_left_far_behind_take_no_further_sweeps(monkeypatch):
-    """Two starts whose odds are known: the one that is behind is swept only while it is near."""
+def test_sweeps_are_taken_by_the_starts_that_are_ahead(monkeypatch):
+    """Starts of known odds: one that is far behind takes no sweep, nor does a fifth one that is
+    near; the better half goes on, so that one which gains late, but first loses, is not taken.
+    """
     swept = []
     monkeypatch.setattr(sampler, "log_odds", lambda rng, model, state: state[0])
-    sweep = lambda rng, model, state, count: swept.append(state[1]) or (state[0] + 1.0, state[1])
+
+    def sweep(rng, model, state, count):
+        swept.append(state[1])
+        return (state[0] + (200.0 if state[1] == "late" else 100.0), state[1])
+
     monkeypatch.setattr(sampler, "gaussian_sweeps", sweep)
     rng = Randomness(numpy_rng(0), torch.Generator())
+    taken = lambda states: (swept.clear(), sampler.best_after_sweeps(rng, None, states)[1])[1]
 
     for gap, of_second in ((0.5, ["second"]), (1.5, [])):
-        swept.clear()
-        states = [(0.0, "first"), (-gap * sampler.BEHIND, "second")]
-        assert sampler.best_after_sweeps(rng, None, states)[1] == "first"
-        assert swept == ["first"] + of_second
+        assert taken([(0.0, "first"), (-gap * sampler.BEHIND, "second")]) == "first"
+        assert swept == ["first"] + of_second + ["first"] * (sampler.FIRST_SWEEPS - 1)
+
+    near = [(-20.0, "c"), (0.0, "a"), (-30.0, "d"), (-40.0, "e"), (-10.0, "b")]
+    assert taken(near) == "a"
+    assert swept == ["a", "b", "c", "d", "a", "b", "a"]
+    assert taken([(0.0, "a"), (-90.0, "late"), (-10.0, "b")]) == "late"
 
 
 def test_starts_are_judged_by_photos_that_they_were_not_told_of(problem, start):

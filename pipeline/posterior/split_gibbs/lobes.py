@@ -135,15 +135,6 @@ class LobeTable:
             return self.direct[low][:, rows]
         return torch.lerp(self.direct[low][:, rows], self.direct[high][:, rows], float(way))
 
-    def from_ground(self, step: int) -> np.ndarray:
-        """(4, n, 3): light from the ground in every lobe at one roughness step, of a table whose
-        `off` has no other columns than the ground's; (4, n, 1) zeros where there is no ground.
-        """
-        low, high, way = neighbours(step, len(self.off))
-        parts = ((low, 1 - way), (high, way))
-        given = sum(share * np.stack([g.toarray() for g in self.off[k]]) for k, share in parts)
-        return given if given.shape[2] else np.zeros((*given.shape[:2], 1), np.float32)
-
     def apply(self, light: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         """(steps, 4, n, 3): what every lobe sees of a light (M, 3) and of the exitant radiance of
         the nodes (q, 3).

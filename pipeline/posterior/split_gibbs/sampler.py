@@ -36,7 +36,7 @@ from pipeline.posterior.split_gibbs.material_moves import (
 )
 from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.setup import Model, set_up
-from pipeline.posterior.split_gibbs.start_search import Search
+from pipeline.posterior.split_gibbs.starts import FewRows
 from pipeline.posterior.split_gibbs.state import Randomness, RegionMaterials, State, run
 from pipeline.posterior.split_gibbs.thinning import explained, thinning
 from pipeline.prior.gaussian import translated
@@ -48,18 +48,14 @@ from pipeline.render.renderer import Explanation
 FIRST, LAST = 0.15, 0.02
 # noise level of the first smooth sweep: hides all but the largest shapes
 SMOOTH = 0.7
-# sweeps under the Gaussian prior: from either start, every row counted in full (what they leave
-# over shows the noise's correlation), and then with rows thinned (the last sweeps that move the
-# light's brightness freely, so with the errors it has)
-FIRST_SWEEPS, THINNED_SWEEPS = 1, 1
-# sweeps of the search over all regions, from each of its three starts
-SEARCH_SWEEPS = 2
-# material steps at the search's light, for colours and noise: it is too smooth to say anything of
-# gloss
+# sweeps under the Gaussian prior: of the starts, the better half of which goes on after each (every
+# row counts in full: what they leave over shows the noise's correlation), and then with rows
+# thinned (the last sweeps that move the light's brightness freely, so with the errors it has)
+FIRST_SWEEPS, THINNED_SWEEPS = 3, 1
+# starts that take sweeps; one whose log odds are so far below the best's takes none
+MOST, BEHIND = 4, 150.0
+# material steps at a start's light, for colours and noise: it is too smooth to tell of gloss
 WARM_UP_STEPS = 50
-# a start whose log odds are so far below the best's is given up: gaps narrow by less
-# (docs/experiments.md)
-BEHIND = 150.0
 
 
 def draw(rng: Randomness, model: Model, state: State, title: str) -> State:
@@ -71,7 +67,7 @@ def draw(rng: Randomness, model: Model, state: State, title: str) -> State:
     centre, label, steps = model.log_scale_centre, settings.label, settings.region_steps
 
     # 2  Start: materials by their evidence, then sweeps under the Gaussian prior; 3  thinning
-    state = start(rng, model, state, THINNED_SWEEPS)
+    state = start(rng, model, state)
 
     noise_levels = np.geomspace(SMOOTH, FIRST, settings.smooth)
     rhos = widths(settings.levels, FIRST, LAST, settings.stay)
@@ -104,18 +100,15 @@ def draw(rng: Randomness, model: Model, state: State, title: str) -> State:
     return replace(state, code=state.twin, prior_code=None)
 
 
-def start(rng: Randomness, model: Model, state: State, sweeps: int) -> State:
-    """Steps 2 and 3: a draw under the Gaussian prior, its code as one of the diffusion prior.
-
-    sweeps: after thinning.
-    """
+def start(rng: Randomness, model: Model, state: State) -> State:
+    """Steps 2 and 3: a draw under the Gaussian prior, its code as one of the diffusion prior."""
     settings = model.settings
     gaussian = model.gaussian
 
-    # 2a  sets of materials and lights by evidence
+    # 2a  whole objects of one gloss, each with a light of its own
     some = model.without_some_photos(rng.numpy)
-    search = Search.over(some.data, gaussian, state.log_scale, settings.search_points, rng.numpy)
-    found = search.run(state.materials, SEARCH_SWEEPS, rng.numpy)
+    few = FewRows.over(some.data, gaussian, state.log_scale, settings.search_points, rng.numpy)
+    found = few.starts(state.materials, rng.numpy)
 
     # 2b  sweeps from each; the one stays that explains the other photos better, by the odds
     states = [begun(rng, some, state, *materials_and_code) for materials_and_code in found]
@@ -123,7 +116,7 @@ def start(rng: Randomness, model: Model, state: State, sweeps: int) -> State:
 
     # 3  rows that err together count less
     state, _ = thinning(model)(rng, state)
-    state = gaussian_sweeps(rng, model, state, sweeps)
+    state = gaussian_sweeps(rng, model, state, THINNED_SWEEPS)
     code = state.code.reshape(1, 3, gaussian.height, gaussian.width)
     return replace(
         state, code=translated(code, gaussian, model.prior).reshape(3, -1), coefficients=None
@@ -144,14 +137,23 @@ def begun(
 
 
 def best_after_sweeps(rng: Randomness, model: Model, states: list[State]) -> State:
-    """Step 2b: one of the states after the first sweeps, drawn by its odds; those that are far
-    behind before take none.
+    """Step 2b: one of the states after the first sweeps, drawn by its odds. The best few go on to
+    the first sweep, and the better half of them after each.
     """
     odds = np.array([log_odds(rng, model, state) for state in states])
-    near = [s for s, of_state in zip(states, odds) if of_state > odds.max() - BEHIND]
-    swept = [gaussian_sweeps(rng, model, state, FIRST_SWEEPS) for state in near]
-    odds = np.array([[log_odds(rng, model, state) for state in swept]])
-    return swept[categorical(odds, rng.numpy)[0]]
+    near = int((odds > odds.max() - BEHIND).sum())
+    states, odds = best_of(states, odds, min(MOST, near))
+    for _ in range(FIRST_SWEEPS):
+        states = [gaussian_sweeps(rng, model, state, 1) for state in states]
+        odds = np.array([log_odds(rng, model, state) for state in states])
+        states, odds = best_of(states, odds, (len(states) + 1) // 2)
+    return states[categorical(odds[None], rng.numpy)[0]]
+
+
+def best_of(states: list[State], odds: np.ndarray, count: int) -> tuple[list[State], np.ndarray]:
+    """The `count` states of the greatest log odds, and these."""
+    best = np.argsort(-odds)[:count]
+    return [states[k] for k in best], odds[best]
 
 
 def log_odds(rng: Randomness, model: Model, state: State) -> float:
@@ -195,5 +197,5 @@ def gaussian(
     """
     rng, model, state = set_up(problem, prior, fit, settings, seed)
     with torch.no_grad():
-        state = start(rng, model, state, FIRST_SWEEPS)
+        state = start(rng, model, state)
         return explanation(rng, model, state, fit)

@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.posterior.split_gibbs.likelihood import RowLikelihood
 from pipeline.posterior.split_gibbs.noise import channel_effect, log_noise, neighbour_effect
 from pipeline.posterior.split_gibbs.setup import Model
-from pipeline.posterior.split_gibbs.start_search import THINNING
+from pipeline.posterior.split_gibbs.starts import THINNING
 from pipeline.posterior.split_gibbs.state import Kernel, Randomness, State
 
 
@@ -37,7 +37,7 @@ def thinning(model: Model) -> Kernel:
 
 def explained(rng: Randomness, model: Model, state: State) -> float:
     """Log odds of how well a state of the start explains the rows that it was not told of, taken
-    for all rows and thinned as in the search, and what is seen of the light. Where it was told of
+    for all rows and thinned as in the starts, and what is seen of the light. Where it was told of
     all rows, of how well it explains those.
     """
     rows, U, W, colors = drawn_colors(rng, model, state)
