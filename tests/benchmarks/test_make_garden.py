@@ -1,6 +1,6 @@
 """The shipped example's cameras, for as many photos as are asked for."""
 
-import sys
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +8,8 @@ import pytest
 
 from tests.seeds import seeded
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
-from make_garden import AIM, DISTANCE, RINGS, cameras
-
+SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "make_garden.py"))
+AIM, DISTANCE, RINGS, cameras = (SCRIPT[n] for n in ("AIM", "DISTANCE", "RINGS", "cameras"))
 SHIPPED = sum(count for _, count in RINGS)
 
 
