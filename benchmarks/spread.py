@@ -153,7 +153,7 @@ def blocks(light: np.ndarray) -> np.ndarray:
 def drawn(data: RowData, state: State, prior, settings: Sample, seed: int) -> np.ndarray:
     """Blocks of one posterior light: the sampler's light kernels, materials and noise known."""
     rng = Randomness(*generators(seed))
-    mixer, gaussian = Mixer(data), load_prior(settings.search_prior)
+    mixer, gaussian = Mixer(data), load_prior(settings.start_prior)
     decoder = Decoder.onto(gaussian, data.light_rows)
     modes = Modes(gaussian, gaussian, COMPONENTS, data.light_rows)
     unknowns = ModeUnknowns.seen(modes, gaussian.flat_mean)

@@ -122,6 +122,6 @@ def sample(name: str, *words: str, **settings: object) -> None:
 sample("rows of the light that do not divide the prior's", "sample.light", "24", "32", light=24)
 sample("prior_tiny with more rows than it has", "sample.light", "32", "16", prior="prior_tiny")
 sample("a prior that does not exist", "prior_huge", "prior_", prior="prior_huge")
-sample("a network for the search's prior", "gaussian", search_prior="prior_tiny")
+sample("a network for the starts' prior", "gaussian", start_prior="prior_tiny")
 sample("an unknown sampler", "gibs", "split_gibbs", method="gibs")
 sample("a label that the prior does not know", "sample.label", "moon", label="moon")

@@ -29,7 +29,7 @@ SMALL = {
     "fit": {"steps": 20, "learning_rate": 0.05, "pixels": 400, "spp": 2, "texture": 16},
     "sample": {
         "prior": "prior_tiny",
-        "search_prior": "gaussian_tiny",
+        "start_prior": "gaussian_tiny",
         "light": 16,
         "texture": 16,
     },

@@ -4,8 +4,8 @@ python -m benchmarks.suite.make --suite XS --out FOLDER
 
 FOLDER/<suite>_<object>__<light> is a scene of benchmarks.make_scene, with relights under one light
 of each sort that is not its own. FOLDER/assets and FOLDER/lights hold what it was rendered from. A
-scene that is there already is not made again. Rendered on one thread, a suite has the same bits
-whenever it is made on a machine.
+scene that is there already is not made again, and two processes may fill one folder. Rendered on
+one thread, a suite has the same bits whenever it is made on a machine.
 
 Suite S: eight objects (diffuse, glossy, metal, mixed, concave), each under an indoor and an outdoor
 light; XS: three of them, each under one light, small, for minutes; W: all eight under one light of
@@ -23,6 +23,7 @@ from benchmarks.suite.lights import INDOOR, make_light
 from benchmarks.suite.objects import OBJECTS, write_object
 from pipeline.base.errors import InputError, nearest, run_stage
 from pipeline.base.images import write_exr
+from pipeline.base.locks import alone
 from pipeline.base.runtime import set_threads
 
 RELIGHTS = {"indoor": ("room_90", "studio_90"), "outdoor": ("sunny_90", "cloudy_90")}
@@ -104,23 +105,25 @@ def make_suite(name: str, out: Path, only: list[str] | None = None) -> list[Path
     """
     suite = suite_named(name)
     known = {scene_name(name, *pair): pair for pair in suite.pairs}
-    for wanted in only or []:
-        if wanted not in known:
-            raise InputError(f"suite {name} has no scene '{wanted}'", "", nearest(wanted, known))
+    for asked in only or []:
+        if asked not in known:
+            raise InputError(f"suite {name} has no scene '{asked}'", "", nearest(asked, known))
 
-    scenes = []
+    wanted = known if only is None else only
+    out.mkdir(parents=True, exist_ok=True)
     for scene, (thing, light) in known.items():
-        if only is not None and scene not in only:
-            continue
-        folder = out / scene
-        scenes.append(folder)
-        if folder.exists():
-            continue
-        asset = out / "assets" / f"{thing}_{suite.side}"
-        write_object(thing, asset, suite.side)
-        others = [light_file(out, other) for other in relights_of(light)]
-        make_scene(asset, light_file(out, light), others, suite.options, folder)
-    return scenes
+        with alone(out / "assets", wait=True):  # two studies may share a folder of scenes
+            if scene in wanted and not (out / scene).exists():
+                make_one(suite, thing, light, out, out / scene)
+    return [out / scene for scene in known if scene in wanted]
+
+
+def make_one(suite: Suite, thing: str, light: str, out: Path, folder: Path) -> None:
+    """The scene `folder`, and what it is rendered from below `out`."""
+    asset = out / "assets" / f"{thing}_{suite.side}"
+    write_object(thing, asset, suite.side)
+    others = [light_file(out, other) for other in relights_of(light)]
+    make_scene(asset, light_file(out, light), others, suite.options, folder)
 
 
 def main() -> None:

@@ -291,10 +291,10 @@ class Sample(Section):
         le=128,
         description="split_gibbs: rows of the light in the operator; divides the prior's rows",
     )
-    search_prior: str = Field(
+    start_prior: str = Field(
         "gaussian_small", description="split_gibbs: Gaussian prior of the starts' lights"
     )
-    search_points: int = Field(
+    start_points: int = Field(
         250, ge=10, description="split_gibbs: points that the starts' lights are fitted to"
     )
     region_steps: int = Field(

@@ -12,13 +12,13 @@ from typing import TextIO
 from pipeline.base.errors import InputError
 
 
-def lock(path: Path) -> TextIO:
+def lock(path: Path, wait: bool = False) -> TextIO:
     """Hold the lock `path`, a file that is made for it, until what is returned is closed or the
-    process ends. BlockingIOError where another process holds it.
+    process ends. BlockingIOError where another process holds it, unless told to wait.
     """
     handle = open(path, "w")
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except OSError:
         handle.close()
         raise
@@ -26,16 +26,17 @@ def lock(path: Path) -> TextIO:
 
 
 @contextlib.contextmanager
-def alone(result: Path) -> Iterator[None]:
-    """Make `result` while no other process does. InputError where another one is at it: what comes
-    of two would be a mixture. The lock is a file beside it, which is removed in the end.
+def alone(result: Path, wait: bool = False) -> Iterator[None]:
+    """Make `result` while no other process does. InputError where another one is at it, unless told
+    to wait: what comes of two would be a mixture. The lock is a file beside it, which is removed in
+    the end.
     """
     file = result.with_name(f".partial-{result.name}.lock")
     try:
-        held = lock(file)
+        held = lock(file, wait)
         while not _is_at(held, file):  # another process has removed it since it was opened
             held.close()
-            held = lock(file)
+            held = lock(file, wait)
     except BlockingIOError as error:
         raise InputError(
             "another process is making this result", result, "wait for it, or stop it first"

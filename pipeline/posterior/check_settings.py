@@ -13,7 +13,7 @@ BY_OPERATOR = ("split_gibbs", "gaussian")  # samplers that pool the light's rows
 
 
 def check_settings(settings: Sample) -> None:
-    """Raises InputError for a prior that is not there, a class that it does not know, a search
+    """Raises InputError for a prior that is not there, a class that it does not know, a Gaussian
     prior that is none, rows of the light that do not divide the priors' rows, and a prior whose
     rows the sampler's generator cannot make.
     """
@@ -25,16 +25,16 @@ def check_settings(settings: Sample) -> None:
             nearest(settings.label, prior.labels),
         )
     if settings.method in BY_OPERATOR:
-        search = prior_facts(settings.search_prior)
-        if search.format != "gaussian":
+        start = prior_facts(settings.start_prior)
+        if start.format != "gaussian":
             raise InputError(
                 "this prior is a network, a Gaussian prior is asked for",
-                find_prior(settings.search_prior),
-                "name one like gaussian_small in sample.search_prior",
+                find_prior(settings.start_prior),
+                "name one like gaussian_small in sample.start_prior",
             )
-        _divides("sample.search_prior", search.height, prior.height)
+        _divides("sample.start_prior", start.height, prior.height)
         _divides("sample.light", settings.light, prior.height)
-        _divides("sample.light", settings.light, search.height)
+        _divides("sample.light", settings.light, start.height)
     if generator_files(settings.method):
         rows = generator_rows(settings.method)
         if prior.height % rows:

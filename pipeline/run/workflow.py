@@ -235,7 +235,7 @@ class Scenes:
     def priors(self, name: str) -> list[str]:
         """Weight files that the sample stage reads, every part of each."""
         sample = self(name).sample
-        files = prior_files(sample.prior) + prior_files(sample.search_prior)
+        files = prior_files(sample.prior) + prior_files(sample.start_prior)
         files += generator_files(sample.method)
         here = Path.cwd()
         return [str(f.relative_to(here) if f.is_relative_to(here) else f) for f in files]

@@ -1,6 +1,8 @@
 """The procedural suite: closed shapes with an atlas; maps and lights follow from their names."""
 
 import ast
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -10,7 +12,8 @@ import pytest
 import benchmarks.suite
 from benchmarks.make_scene import Options, make_scene
 from benchmarks.suite.lights import KINDS, SKIES, cie_sky, make_light, sun_disc
-from benchmarks.suite.make import INDOOR, RELIGHTS, SUITES, relights_of
+from benchmarks.suite import make
+from benchmarks.suite.make import INDOOR, RELIGHTS, SUITES, make_suite, relights_of
 from benchmarks.suite.objects import OBJECTS, textures, write_object
 from benchmarks.suite.patches import assembled, texel_points, welded
 from benchmarks.suite.raycast import Box, Glow, World
@@ -180,3 +183,20 @@ def test_suite_lights_are_no_training_lights():
     for name in OBJECTS:
         kinds = sorted(light.split("_")[0] in INDOOR for thing, light in big if thing == name)
         assert kinds == [False, True]
+
+
+def test_two_studies_may_fill_one_folder(monkeypatch, tmp_path):
+    """Each scene is made once, by one of them; both get all."""
+    made = []
+
+    def slowly(suite, thing, light, out, folder):
+        time.sleep(0.05)
+        made.append(folder.name)
+        folder.mkdir()
+
+    monkeypatch.setattr(make, "make_one", slowly)
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(lambda _: make_suite("XS", tmp_path), range(2))
+    assert first == second and all(folder.is_dir() for folder in first)
+    assert sorted(made) == sorted(folder.name for folder in first)
+    assert not list(tmp_path.glob(".*"))

@@ -45,12 +45,12 @@ render: {{max_depth: 3}}
 fit: {{steps: 20, learning_rate: 0.05, pixels: 400, spp: 2, texture: 16}}
 sample:
   prior: prior.safetensors
-  search_prior: search.safetensors
+  start_prior: gaussian.safetensors
   light: 16
   texture: 16
   points: 60
   smooth: 1
-  search_points: 30
+  start_points: 30
   region_steps: 20
 refine: {{steps: 4, pixels: 300, spp: 2, texture: 48, shading_pixels: 1000, score_spp: 16}}
 report: {{relight_size: 48, spp: 4}}
@@ -130,7 +130,7 @@ def project(tmp_path_factory, ball) -> Path:
         text = TINY.format(photos=scene.name, samples=samples) + more
         (folder / "configs" / f"{name}.yaml").write_text(text, encoding="utf-8")
     shutil.copy(ROOT / "weights" / "prior_tiny.safetensors", folder / "prior.safetensors")
-    shutil.copy(ROOT / "weights" / "gaussian_tiny.safetensors", folder / "search.safetensors")
+    shutil.copy(ROOT / "weights" / "gaussian_tiny.safetensors", folder / "gaussian.safetensors")
     light = outdoor(numpy_rng(4), 32, 64).astype(np.float32)
     color = np.full((16, 16, 3), 0.5, np.float32)
     color[:8] = [0.6, 0.2, 0.1]

@@ -50,7 +50,7 @@ LONG = Sample(
     views=4,
     light=16,
     region_steps=10,
-    search_points=25,
+    start_points=25,
 )
 # factor of the data term: medians over a fifth of the steps differ by some hundredths between seeds
 LATE_RISE = 1.15

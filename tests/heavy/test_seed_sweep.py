@@ -26,7 +26,7 @@ SMALL = Sample(
     points=150,
     views=4,
     region_steps=20,
-    search_points=25,
+    start_points=25,
 )
 
 

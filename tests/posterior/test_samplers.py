@@ -37,8 +37,8 @@ SMALL = Sample(
     views=3,
     light=8,
     region_steps=5,
-    search_prior="gaussian_tiny",
-    search_points=10,
+    start_prior="gaussian_tiny",
+    start_points=10,
 )
 
 

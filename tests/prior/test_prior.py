@@ -149,7 +149,7 @@ def test_guidance_leads_away_from_the_unlabelled_mean():
 
 
 def test_a_network_is_no_gaussian_prior():
-    """`sample.search_prior` naming a network ends in a message that says what to name instead."""
+    """`sample.start_prior` naming a network ends in a message that says what to name instead."""
     assert load_gaussian("gaussian_tiny").height == 16
     with pytest.raises(InputError, match="gaussian_small"):
         load_gaussian("prior_tiny")

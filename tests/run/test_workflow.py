@@ -227,7 +227,7 @@ LATE = {
     "light": ({"sample": {"light": 24}}, "sample.light: a light of 24 rows does not divide"),
     "prior": ({"sample": {"prior": "prior_huge"}}, "there is no such prior"),
     "rows": ({"sample": {"prior": "prior_tiny"}}, "of 32 rows does not divide the prior's 16"),
-    "search": ({"sample": {"search_prior": "prior_tiny"}}, "a Gaussian prior is asked for"),
+    "start": ({"sample": {"start_prior": "prior_tiny"}}, "a Gaussian prior is asked for"),
     "method": ({"sample": {"method": "gibs"}}, "sample.method"),
     "label": ({"sample": {"label": "moon"}}, "no class 'moon'"),
     "made": ({"sample": {"method": "gan_latent", "prior": "prior_tiny"}}, "a multiple of 32 rows"),

@@ -107,7 +107,7 @@ def start(rng: Randomness, model: Model, state: State) -> State:
 
     # 2a  whole objects of one gloss, each with a light of its own
     some = model.without_some_photos(rng.numpy)
-    few = FewRows.over(some.data, gaussian, state.log_scale, settings.search_points, rng.numpy)
+    few = FewRows.over(some.data, gaussian, state.log_scale, settings.start_points, rng.numpy)
     found = few.starts(state.materials, rng.numpy)
 
     # 2b  sweeps from each; the one stays that explains the other photos better, by the odds
@@ -192,7 +192,7 @@ def split_gibbs(
 def gaussian(
     problem: Problem, prior: Prior, fit: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
-    """One posterior sample under the Gaussian prior `settings.search_prior`: steps 1 to 3 and 6;
+    """One posterior sample under the Gaussian prior `settings.start_prior`: steps 1 to 3 and 6;
     `prior` gives the size of the light only.
     """
     rng, model, state = set_up(problem, prior, fit, settings, seed)

@@ -191,7 +191,7 @@ def set_up(
         data=data,
         mixer=Mixer(data),
         prior=prior,
-        gaussian=load_gaussian(settings.search_prior),
+        gaussian=load_gaussian(settings.start_prior),
         settings=settings,
         log_scale_centre=float(np.log(scale_of(fit.light))),
         view=observations.view[rows.observation],
