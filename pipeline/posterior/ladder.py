@@ -140,12 +140,17 @@ def tried_step(errors: list[np.ndarray], block: np.ndarray, at: int, to: int) ->
 
 
 def judged_errors(
-    problem: Problem, x: Explanation, parts: list[Fold], solve: SolveColor, seed: int
+    problem: Problem,
+    x: Explanation,
+    parts: list[Fold],
+    kept: list[Problem],
+    solve: SolveColor,
+    seed: int,
 ) -> tuple[np.ndarray, Explanation]:
-    """Squared errors (n,) of the judged pixels of all folds, each under base colours from its
-    other photos; and the first fold's explanation, which begins as `x`.
+    """Squared errors (n,) of the judged pixels of all folds, each under base colours from `kept`,
+    its other photos; and the first fold's explanation, which begins as `x`.
     """
-    solved = [solve(with_pixels(problem, fold.kept), x) for fold in parts]
+    solved = [solve(of, x) for of in kept]
     errors = [squared_error(problem, y, fold.judged, seed) for fold, y in zip(parts, solved)]
     return np.concatenate(errors), solved[0]
 
@@ -163,10 +168,12 @@ def climb(
     seed = renderer_seed(rng)
     uv = problem.observations.uv[parts[0].kept]
     matt = rungs(x, np.zeros(x.roughness.shape, int), uv)[0].put_on(x)
-    of_matt, matt = judged_errors(problem, matt, parts, solve, seed)
+    kept = [with_pixels(problem, fold.kept) for fold in parts]  # once: normals are traced for each
+    of_matt, matt = judged_errors(problem, matt, parts, kept, solve, seed)
     body = bodies(matt.base_color, uv, rng)
     found = rungs(x, body, uv)
-    higher = [judged_errors(problem, r.put_on(matt), parts, solve, seed)[0] for r in found[1:]]
+    errors_of = lambda y: judged_errors(problem, y, parts, kept, solve, seed)[0]
+    higher = [errors_of(rung.put_on(matt)) for rung in found[1:]]
     errors = [of_matt, *higher]
 
     block = np.concatenate([fold.block for fold in parts])
