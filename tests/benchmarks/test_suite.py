@@ -11,8 +11,8 @@ import pytest
 
 import benchmarks.suite
 from benchmarks.make_scene import Options, make_scene
-from benchmarks.suite.lights import KINDS, SKIES, cie_sky, make_light, sun_disc
 from benchmarks.suite import make
+from benchmarks.suite.lights import KINDS, SKIES, cie_sky, make_light, sun_disc
 from benchmarks.suite.make import INDOOR, RELIGHTS, SUITES, make_suite, relights_of
 from benchmarks.suite.objects import OBJECTS, textures, write_object
 from benchmarks.suite.patches import assembled, texel_points, welded
