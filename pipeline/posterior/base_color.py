@@ -29,9 +29,9 @@ COARSEST = 32  # side of the pyramid's smallest map
 CONTRADICTIONS = (1.0, 1.0, 0.7, 0.7)
 EVERY = 5  # one view of so many judges how sharp the map may be, and how bright the light
 BRIGHTER = (1.0, 1.2, 1.45, 1.75, 2.1)  # factors of the light that are tried
-# part of the error that a brighter light must save: less than that is chance
-CLEAR_GAIN = 0.03
-# part of the pixels that must lie where a base colour is at its limit, before any is tried
+# part of the error that a brighter light must save: no eye sees less
+CLEAR_GAIN = 0.01
+# part of the pixels that must lie where a base colour is at its limit, before a brighter is tried
 AT_LIMIT = 0.02
 
 
@@ -232,9 +232,9 @@ def share_at_limit(color: np.ndarray) -> float:
 
 def brighter_light(observations: Observations, shading: Shading, begin: np.ndarray) -> float:
     """Factor >= 1 by which the light of `shading` must be brighter for base colours <= 1 to explain
-    the photos: the least of BRIGHTER whose colours, made from the other views, explain every
-    EVERY-th as well as the best one's, up to CLEAR_GAIN of the error; 1 where fewer than AT_LIMIT
-    of the pixels show a colour at its limit. `begin` (t, t, 3).
+    the photos. Those of BRIGHTER are tried until fewer than AT_LIMIT of the pixels show a colour at
+    its limit. Of them it is the least whose colours, made from the other views, explain every
+    EVERY-th as well as the best one's, up to CLEAR_GAIN of the error. `begin` (t, t, 3).
 
     A light that is too dim would be made up for by colours above 1, which there are not. The error
     is a score's, squared, of sRGB values: it counts what is far too dark, as parts at the limit
@@ -249,11 +249,10 @@ def brighter_light(observations: Observations, shading: Shading, begin: np.ndarr
         brighter = Shading(factor * shading.scaled, factor * shading.rest)
         solver = ColorSolver(observations, brighter, len(begin))
         color, _, _ = solver.robust(begin, judge)
-        if not errors and share_at_limit(gather(color, observations.uv)) < AT_LIMIT:
-            return 1.0
-
         picture = solver.picture(color)
         errors.append(squared_srgb_error(picture[judge], solver.photo(picture)[judge]))
+        if share_at_limit(gather(color, observations.uv)) < AT_LIMIT:
+            break
     good_enough = np.array(errors) * (1 - CLEAR_GAIN) <= min(errors)
     return BRIGHTER[int(np.argmax(good_enough))]
 

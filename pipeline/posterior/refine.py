@@ -12,7 +12,8 @@ Four steps, one after the other:
    about their fine detail. The base colour moves along. Where the sampler drew them, roughness
    stays near the draw and metallic as drawn.
 4. Base colour again, with these and at full size, and with the light in details that are finer than
-   few paths show (missed_light.py).
+   few paths show (missed_light.py). Maps of moderate size hide colours above 1, and what was drawn
+   as metal may be matt now: the light may have to be brighter still.
 """
 
 from __future__ import annotations
@@ -79,30 +80,23 @@ def solve_base_color(
     rng: np.random.Generator,
     sharpness: Sharpness | None = None,
     texel_paths: float = 0,
+    brighter: bool = False,
 ) -> tuple[Explanation, dict]:
     """The explanation with the base colour that the photos show under its light and gloss, from
     paths through `pixels` pixels and `texel_paths` more for every texel (`with_missed_light`).
-    `sharpness` and the facts are those of `color_map`.
+
+    brighter: the light becomes as bright as base colours <= 1 need it (`brighter_light`), but where
+    the ground is known, and so the light's scale. `sharpness` and the facts are those of
+    `color_map`, and `brighter`, the light's factor.
     """
     begin, shading = shading_by_color(problem, explanation, pixels, rng)
     if texel_paths:
         shading = with_missed_light(problem, begin, shading, texel_paths, rng)
-    color, facts = color_map(problem.observations, shading, begin.base_color, sharpness)
-    return replace(begin, base_color=color), facts
-
-
-def solve_color_and_scale(
-    problem: Problem, explanation: Explanation, pixels: int, rng: np.random.Generator
-) -> tuple[Explanation, dict]:
-    """As `solve_base_color`, with the light as bright as base colours <= 1 need it
-    (`brighter_light`): a fact more, `brighter`.
-    """
-    begin, shading = shading_by_color(problem, explanation, pixels, rng)
     factor = 1.0
-    if problem.renderer.ground is None:  # where it is known, so is the light's scale
+    if brighter and problem.renderer.ground is None:
         factor = brighter_light(problem.observations, shading, begin.base_color)
-    shading = Shading(factor * shading.scaled, factor * shading.rest)
-    color, facts = color_map(problem.observations, shading, begin.base_color, USUAL)
+        shading = Shading(factor * shading.scaled, factor * shading.rest)
+    color, facts = color_map(problem.observations, shading, begin.base_color, sharpness)
     light = (factor * begin.light).astype(np.float32)
     return replace(begin, base_color=color, light=light), facts | {"brighter": factor}
 
@@ -263,7 +257,7 @@ def refine(
 
     some = with_pixels(small, some_pixels(small, rng))
     few = settings.shading_pixels // FEWER
-    coarse, first = solve_color_and_scale(some, coarse, few, rng)
+    coarse, first = solve_base_color(some, coarse, few, rng, USUAL, brighter=True)
     bar.step("base colour", COLOR_UNITS)
     coarse, moves, tested = judged_gloss(small, coarse, settings, rng)
     if tested and not moves.any():  # moved pixel by pixel a number would become a map again
@@ -274,7 +268,7 @@ def refine(
     gloss = settings.gloss_texture or settings.texture
     full = resize_explanation(coarse, settings.texture, gloss)
     full, last = solve_base_color(
-        problem, full, settings.shading_pixels, rng, texel_paths=settings.texel_paths
+        problem, full, settings.shading_pixels, rng, None, settings.texel_paths, brighter=True
     )
     bar.step("base colour", COLOR_UNITS)
 
@@ -286,7 +280,7 @@ def refine(
         metallic=fill(full.metallic, seen_gloss),
     )
     return full, {
-        "light_scale": scale * first["brighter"],
+        "light_scale": scale * first["brighter"] * last["brighter"],
         "roughness_of_normals": float(per_axis(problem.normal_error)) if drawn else 0.0,
         "loss_before": first["loss"],
         "loss_last_update": last["loss"],

@@ -7,6 +7,7 @@ import pytest
 from pipeline.base.config import Fit, Refine, Sample
 from pipeline.base.images import read_exr
 from pipeline.base.progress import Bar
+from pipeline.posterior.base_color import BRIGHTER
 from pipeline.posterior.dpi.as_published import dpi_paper, rho
 from pipeline.posterior.fit import fit
 from pipeline.posterior.problem import SHADE
@@ -115,6 +116,19 @@ def test_refined_sample_predicts_the_held_out_view(problem, start, toy, gloss):
 
     assert 0 <= refined.base_color.min() and refined.base_color.max() <= 0.98
     assert refined.roughness.min() >= 0.1
+
+
+@pytest.mark.parametrize("gloss", ["maps", "tested"])
+def test_a_dim_light_is_raised_before_gloss_is_judged_and_after(problem, start, gloss):
+    """Under a tenth of the light every colour is at its limit: both solves raise it as far as they
+    may, and the fact says by how much.
+    """
+    dim = replace(start[0], light=np.float32(0.1) * start[0].light)
+    settings = Refine(steps=2, pixels=800, texture=32, gloss=gloss)
+    with Bar("refine", units(settings)) as bar:
+        refined, facts = refine(problem, problem, dim, settings, seeded(0), bar, drawn=True)
+    assert facts["light_scale"] == pytest.approx(max(BRIGHTER) ** 2)
+    assert np.allclose(refined.light, facts["light_scale"] * dim.light, rtol=1e-4)
 
 
 def test_highlights_do_not_stay_in_the_base_colour(problem):
