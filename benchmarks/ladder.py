@@ -68,7 +68,8 @@ def variant(
 
 def rows_of(work: Path, scene: Scene, truth: Truth | None) -> list[dict]:
     """A row for each sample of a scene, with the scores of the plain textured mesh."""
-    unlit, _ = score_unlit(work, scene.refine.texture, scene.observe.erode)
+    refine = scene.refine
+    unlit, _ = score_unlit(work, refine.texture, scene.observe.erode, refine.score_pixels)
     means = {name: float(np.mean(list(views.values()))) for name, views in unlit.items()}
     rows = []
     for sample in sorted((work / "sample").iterdir()):

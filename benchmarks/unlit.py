@@ -4,10 +4,10 @@ python -m benchmarks.unlit --work work/garden work/banana [--out rows.json]
 
 A relightable asset is worth its name only if it predicts photos better than the plain textured mesh
 does. This command bakes that texture on the very mesh and atlas of a finished scene, from the
-photos that fit and sample may read, and scores it on the held-out views in the pixels, at the size
-and by the error formula (`pipeline.render.metrics`) of the score in refine.json. Both stand side by
-side in the row, with what else tells a good asset from a bad one: charts and utilisation of the
-atlas, seconds of the stages, and the medians of metallic and roughness of every sample.
+photos that fit and sample may read, and scores it on the held-out views in the very pixels, at the
+size and by the error formula (`pipeline.render.metrics`) of the score in refine.json. Both stand
+side by side in the row, with what else tells a good asset from a bad one: charts and utilisation of
+the atlas, seconds of the stages, and the medians of metallic and roughness of every sample.
 
 Each texel is the robust mean, in sRGB, of the photos' pixels whose ray meets the mesh there. A
 photo that shows the texel larger counts for more because it has more pixels there, and a pixel
@@ -34,7 +34,7 @@ from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear
 from pipeline.base.progress import progress
 from pipeline.geometry.cameras import View
 from pipeline.posterior.textures import fill, gather, splat
-from pipeline.render.metrics import held_out_photos, psnr
+from pipeline.render.metrics import held_out_photos, psnr, scored_pixels
 from pipeline.render.observe import Observations, Tracer, object_pixels
 
 PIXELS = 6_000_000  # at most so many of all photos' pixels, evenly over them
@@ -140,18 +140,19 @@ def load(work: Path, erode: float) -> tuple[HeldOut, Tracer, PhotoPixels]:
 
 
 def score_unlit(
-    work: Path, size: int, erode: float
+    work: Path, size: int, erode: float, scored: int | None = None
 ) -> tuple[dict[str, dict[str, float]], np.ndarray]:
-    """PSNR on each held-out view of the textures by the robust and by the plain mean, and which
-    texels (size, size) photos show.
+    """PSNR on each held-out view of the textures by the robust and by the plain mean, in `scored`
+    pixels (None: in all), and which texels (size, size) photos show.
     """
     held_out, tracer, pixels = load(work, erode)
+    some = scored_pixels(held_out, scored) if scored else [mask for _, _, mask in held_out]
     scores = {}
     for name, passes in (("plain", 1), ("robust", PASSES)):
         texture, seen = bake(pixels, size, passes)
         scores[name] = {
-            view.name: psnr(picture(view, mask, texture, tracer), photo, mask)
-            for view, photo, mask in held_out
+            view.name: psnr(picture(view, chosen, texture, tracer), photo, chosen)
+            for (view, photo, _), chosen in zip(held_out, some)
         }
     return scores, seen
 
@@ -211,7 +212,8 @@ def row(work: Path, erode: float) -> dict:
     """
     samples = lit_samples(work)
     size = read_exr(samples[0] / "metallic.exr").shape[0]
-    unlit, seen = score_unlit(work, size, erode)
+    scored = read_json(samples[0] / "refine.json")["held_out_pixels"]
+    unlit, seen = score_unlit(work, size, erode, scored)
     if not unlit["robust"]:
         raise InputError("no held-out view shows the object", work, "raise observe.held_out")
     lit = [lit_sample(folder, seen) for folder in samples]

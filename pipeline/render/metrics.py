@@ -145,18 +145,34 @@ def held_out_photos(
 
 
 def some_of(mask: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
-    """A random `share` of the pixels of `mask` (h, w), at least FEWEST_SCORED or all, all with the
-    same chance.
+    """A `share` of the pixels of `mask` (h, w), at least FEWEST_SCORED or all: one at random of so
+    many that follow each other in rows.
+
+    Stratified sampling (Cochran 1977, chapter 5): neighbours err alike, so that it tells more than
+    as many pixels at random.
     """
     inside = np.flatnonzero(mask)
     count = min(max(round(share * len(inside)), FEWEST_SCORED), len(inside))
+    edges = np.linspace(0, len(inside), count + 1).round().astype(int)
     chosen = np.zeros(mask.size, bool)
-    chosen[rng.choice(inside, count, replace=False)] = True
+    chosen[inside[rng.integers(edges[:-1], edges[1:])]] = True
     return chosen.reshape(mask.shape)
 
 
+def scored_pixels(
+    held_out: list[tuple[View, np.ndarray, np.ndarray]], pixels: int
+) -> list[np.ndarray]:
+    """Which pixels (h, w) of each held-out view count in a score, `pixels` of all views together:
+    the same for every sample, and for what it is compared with.
+    """
+    total = sum(int(mask.sum()) for _, _, mask in held_out)
+    rng = np.random.default_rng(0)
+    return [some_of(mask, pixels / total, rng) for _, _, mask in held_out]
+
+
 def standard_error(error: np.ndarray, of: int) -> float:
-    """Standard error in dB of the PSNR from squared errors (k, 3) of k random pixels out of `of`.
+    """Standard error in dB of the PSNR from squared errors (k, 3) of k random pixels out of `of`;
+    of `some_of` an upper bound, where neighbours err alike.
 
     The mean's relative standard error, with the finite population's correction (Cochran 1977,
     Sampling Techniques, eq. 2.9), times 10 / log 10. All pixels of a view have none. Raises
@@ -181,16 +197,14 @@ def score_held_out(
     step: Callable[[], object] = lambda: None,
 ) -> dict:
     """PSNR of `explanation` on each of `held_out` (`held_out_photos`) and their mean (None without
-    any), from `pixels` random pixels of all of them together; with the standard errors in dB that
-    comes from not taking them all. `step()` is called after each view.
+    any), from `pixels` of all of them together (`scored_pixels`), a number that is said too; with
+    the standard error in dB that comes from not taking them all. `step()` is called after each
+    view.
     """
-    total = sum(int(mask.sum()) for _, _, mask in held_out)
-    rng = np.random.default_rng(0)  # the same pixels for every sample
     scores = {}
     errors = []
 
-    for view, photo, mask in held_out:
-        chosen = some_of(mask, pixels / total, rng)
+    for (view, photo, mask), chosen in zip(held_out, scored_pixels(held_out, pixels)):
         picture, again = render_twice(problem.renderer, explanation, view, chosen, spp)
         scores[view.name] = psnr(picture, photo, chosen, again)
         errors.append(standard_error(crossed_error(picture, photo, again)[chosen], int(mask.sum())))
@@ -201,6 +215,7 @@ def score_held_out(
         "held_out_psnr": float(np.mean(list(scores.values()))) if scores else None,
         "held_out_standard_error": float(np.linalg.norm(errors) / count) if scores else None,
         "held_out": scores,
+        "held_out_pixels": pixels,
     }
 
 

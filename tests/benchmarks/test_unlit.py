@@ -5,17 +5,19 @@ import shutil
 import numpy as np
 import pytest
 
-from benchmarks.unlit import PhotoPixels, bake, picture, row, score_unlit
+from benchmarks.unlit import PhotoPixels, bake, load, picture, row, score_unlit
 from pipeline.base.errors import InputError
-from pipeline.base.files import write_json
-from pipeline.base.images import linear_to_srgb, srgb_to_linear, write_exr, write_png
+from pipeline.base.files import read_json, write_json
+from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write_exr, write_png
 from pipeline.geometry.cameras import Rig, save_cameras
 from pipeline.posterior.textures import gather
+from pipeline.render.metrics import scored_pixels
 from pipeline.render.observe import Tracer
 from tests.seeds import numpy_rng
 
 SIZE = 48  # of the photos
 TEXELS = 64
+SCORED = 300  # pixels
 
 
 def painted(uv):
@@ -85,7 +87,7 @@ def work(tmp_path, ball, ring):
 
     write_exr(folder / "refine" / "0" / "metallic.exr", np.full((TEXELS, TEXELS), 0.9, np.float32))
     write_exr(folder / "refine" / "0" / "roughness.exr", np.full((TEXELS, TEXELS), 0.3, np.float32))
-    scores = {"held_out_psnr": 20.0, "held_out": {"v0": 20.0}}
+    scores = {"held_out_psnr": 20.0, "held_out": {"v0": 20.0}, "held_out_pixels": SCORED}
     write_json(folder / "refine" / "0" / "refine.json", scores)
     atlas = {"charts": 9, "utilisation": 0.6, "faces": 100}
     write_json(folder / "atlas" / "atlas.json", atlas)
@@ -103,8 +105,6 @@ def test_what_looks_the_same_from_everywhere_is_predicted(work):
 
 def test_the_score_is_that_of_the_held_out_photo(work):
     """A held-out photo brighter by .1 in sRGB is missed by just that."""
-    from pipeline.base.images import read_exr
-
     file = work / "poses" / "images" / "v0.exr"
     write_exr(file, srgb_to_linear(linear_to_srgb(read_exr(file)) + 0.1))
     scores, _ = score_unlit(work, TEXELS, erode=1.5)
@@ -133,9 +133,23 @@ def test_lit_and_unlit_stand_side_by_side(work):
     assert found["charts"] == 9 and found["utilisation"] == 0.6
 
 
+def test_unlit_is_scored_in_the_pixels_that_lit_was_scored_in(work):
+    """What the held-out photo shows beside them makes no difference."""
+    held_out, *_ = load(work, 1.5)
+    (chosen,) = scored_pixels(held_out, SCORED)
+    assert chosen.sum() < held_out[0][2].sum()
+    before = row(work, erode=1.5)["unlit_psnr"]
+
+    file = work / "poses" / "images" / "v0.exr"
+    photo = read_exr(file)
+    for where, same in ((~chosen, True), (chosen, False)):
+        write_exr(file, np.where(where[..., None], 0.9, photo).astype(np.float32))
+        assert (row(work, erode=1.5)["unlit_psnr"] == before) == same
+
+
 def test_scores_of_other_views_are_not_compared(work):
     file = work / "refine" / "0" / "refine.json"
-    write_json(file, {"held_out_psnr": 20.0, "held_out": {"v3": 20.0}})
+    write_json(file, read_json(file) | {"held_out": {"v3": 20.0}})
     with pytest.raises(InputError, match="other views"):
         row(work, erode=1.5)
     shutil.rmtree(work / "refine" / "0")

@@ -26,6 +26,21 @@ def test_some_of_a_mask():
     assert (some_of(mask, 7.0, numpy_rng(0)) == mask).all()
 
 
+def test_pixels_spread_evenly_tell_more_where_neighbours_err_alike():
+    """Errors in patches of eight pixels, one pixel of five: less than .7 of the deviation that as
+    many random ones would have, which is what the score claims (.5 at the seeds 0 to 4).
+    """
+    rng = numpy_rng(1)
+    error = np.kron(rng.exponential(size=(16, 16, 1)), np.ones((8, 8, 3)))
+    everywhere = np.ones(error.shape[:2], bool)
+    chosen = [some_of(everywhere, 0.2, rng) for _ in range(200)]
+    decibels = [10 * np.log10(error[some].mean()) for some in chosen]
+    claims = [standard_error(error[some], everywhere.size) for some in chosen]
+    assert np.std(decibels) < 0.7 * np.mean(claims)
+    assert abs(np.mean([some.mean() for some in chosen]) - 0.2) < 1e-3
+    assert np.mean(chosen, axis=0).std() < 0.05  # every pixel has its chance
+
+
 def test_standard_error_is_the_spread_of_scores():
     rng = numpy_rng(0)
     truth = rng.random((80, 100, 3)).astype(np.float32)
