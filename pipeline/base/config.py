@@ -335,8 +335,8 @@ class Refine(Section):
     score_pixels: int = Field(
         24_000,
         ge=64,
-        description="random pixels of all held-out views together that are scored, with the "
-        "standard error that comes from that",
+        description="pixels of all held-out views together that are scored, spread over them, with "
+        "the standard error that comes from that",
     )
     score_spp: int = Field(64, ge=2, le=4096, multiple_of=2, description="paths per scored pixel")
     texture: int = Field(1024, ge=16, le=8192, description="side of the exported textures")

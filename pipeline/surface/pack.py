@@ -27,6 +27,7 @@ FITS = 12  # tries of the scale on the page itself at most
 LEAST = 0.1  # of the scale that the charts' area asks for: below, they are taken not to fit
 WIDE = 0.98  # of the square: how wide the page is when it begins; it may grow by some texels
 ENOUGH = 0.995  # of a scale that is too large: closer is not sought
+NEAR = 0.97  # of the scale that the coarse page promised: good enough on the page itself
 
 
 def packed(charts: list[Chart], resolution: int, padding: int) -> list[np.ndarray]:
@@ -47,19 +48,23 @@ def _packed(
     inner = resolution - 2 * half
     boxed = [upright(uv) for uv, _ in charts]
     corners = [corner for _, corner in charts]
-    turns, scale = _best_turns(boxed, corners, inner, half / resolution, placed_by_xatlas)
-    lying = [turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
+    generator = np.random.default_rng(0)
+    turns, scale = _best_turns(
+        boxed, corners, inner, half / resolution, placed_by_xatlas, generator
+    )
+
+    def page(scale: float, turns: np.ndarray) -> tuple[list[np.ndarray], tuple[int, int]]:
+        lying = [scale * turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
+        return placed_by_xatlas(lying, corners, half, int(WIDE * inner))
 
     best = None
-    longest = max(float(np.ptp(uv, axis=0).max()) for uv in lying)
-    scale = min(scale, (inner - 1) / max(longest, 1e-30))
+    longest = max(float(np.ptp(uv, axis=0).max()) for uv in boxed)  # turns leave it as it is
+    scale = promised = min(scale, (inner - 1) / max(longest, 1e-30))
     area = sum(chart_area(*chart) for chart in charts)
     least = LEAST * (resolution**2 / area) ** 0.5
     fits, too_large, step = least, np.inf, ENOUGH
     for _ in range(FITS):
-        placed, sides = placed_by_xatlas(
-            [scale * uv for uv in lying], corners, half, int(WIDE * inner)
-        )
+        placed, sides = page(scale, turns)
         if max(sides) <= inner:
             best, fits = placed, scale
         else:
@@ -80,6 +85,16 @@ def _packed(
             "atlas",
             "raise atlas.resolution, or lower mesh.faces or atlas.padding",
         )
+
+    # a scale may fit where a smaller one does not: where less fits than the coarse page promised,
+    # other turns are tried half the way up
+    for _ in range(_tries(len(boxed))):
+        if fits > NEAR * promised:
+            break
+        scale, others = (fits * promised) ** 0.5, some_turned(turns, generator)
+        placed, sides = page(scale, others)
+        if max(sides) <= inner:
+            best, fits, turns = placed, scale, others
     return [(uv + half) / resolution for uv in best]
 
 
@@ -89,6 +104,7 @@ def _best_turns(
     inner: int,
     margin: float,
     placed_by_xatlas: Call,
+    generator: np.random.Generator,
 ) -> tuple[np.ndarray, float]:
     """Quarter turns of every chart (c,) with which the page is smallest, and the scale in texels
     per unit at which it has the area of `inner` squared. margin: texels around a chart, as share
@@ -98,8 +114,7 @@ def _best_turns(
     half = int(np.ceil(margin * coarse))
     area = sum(chart_area(uv, corner) for uv, corner in zip(boxed, corners))
     scale = (DENSITY * coarse**2 / area) ** 0.5
-    tries = int(np.clip(WORK / len(boxed), 4, MOST_TRIES))
-    generator = np.random.default_rng(0)
+    tries = _tries(len(boxed))
 
     along = np.array([int(np.ptp(uv[:, 0]) < np.ptp(uv[:, 1])) for uv in boxed])
     least = np.inf
@@ -112,11 +127,20 @@ def _best_turns(
             least = page
         upside_down = along + 2 * generator.integers(0, 2, len(boxed))
         anyhow = generator.integers(0, 4, len(boxed))
-        changed = generator.random(len(boxed)) < CHANGED
-        changed[generator.integers(len(boxed))] = True
-        others = np.where(changed, generator.integers(0, 4, len(boxed)), best)
+        others = some_turned(best, generator)
         turns = others if k >= ANEW * tries else upside_down if k % 2 == 0 else anyhow
     return best, scale * inner / least**0.5
+
+
+def _tries(charts: int) -> int:
+    return int(np.clip(WORK / charts, 4, MOST_TRIES))
+
+
+def some_turned(turns: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Turns (c,) of which CHANGED are others, one at least."""
+    changed = generator.random(len(turns)) < CHANGED
+    changed[generator.integers(len(turns))] = True
+    return np.where(changed, generator.integers(0, 4, len(turns)), turns)
 
 
 def _page(sides: tuple[int, int], coarse: int) -> float:

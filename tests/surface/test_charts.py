@@ -23,7 +23,7 @@ from pipeline.surface.charts import (
     joined_charts,
     laid_flat,
 )
-from pipeline.surface.pack import DENSITY, _best_turns, packed
+from pipeline.surface.pack import COARSE, DENSITY, NEAR, _best_turns, _packed, packed
 from pipeline.surface.raster import rasterize
 from tests.seeds import numpy_rng
 
@@ -292,10 +292,32 @@ def test_turns_that_make_the_page_too_wide_are_not_taken():
         lies = all(np.ptp(uv[:, 0]) > np.ptp(uv[:, 1]) for uv in charts)
         return charts, (100, 100) if lies else (150, 50)
 
-    turns, scale = _best_turns(boxes, [SQUARE[1]] * 3, 100, 0.01, as_if_placed)
+    turns, scale = _best_turns(
+        boxes, [SQUARE[1]] * 3, 100, 0.01, as_if_placed, np.random.default_rng(0)
+    )
     assert (turns % 2 == 0).all()
     area = sum(areas(uv, SQUARE[1]).sum() for uv in boxes)
     assert np.isclose(scale, (DENSITY * 100**2 / area) ** 0.5)
+
+
+def test_other_turns_are_tried_where_the_page_holds_less_than_was_promised():
+    """As the charts lie first, the page is too wide from .8 of the promised scale on."""
+    boxes = [(SQUARE[0] * [k, 1], SQUARE[1]) for k in (2, 3, 4, 5)]
+    resolution, padding = 1024, 4
+    inner = resolution - padding
+    side = lambda charts: max(np.ptp(uv, axis=0).max() for uv in charts)
+    lying = lambda charts: [np.ptp(uv[:, 0]) > np.ptp(uv[:, 1]) for uv in charts]
+    first = []
+
+    def as_if_placed(charts, corners, half, width):
+        if width <= COARSE:
+            return charts, (COARSE, COARSE)
+        first[:] = first or [side(charts), lying(charts)]
+        wide = lying(charts) == first[1] and side(charts) > 0.8 * first[0]
+        return charts, (inner + wide, inner)
+
+    found = _packed(boxes, resolution, padding, as_if_placed)
+    assert side(found) * resolution > NEAR * first[0]
 
 
 def atlases_destroyed_by_a_page():
