@@ -292,9 +292,7 @@ def test_turns_that_make_the_page_too_wide_are_not_taken():
         lies = all(np.ptp(uv[:, 0]) > np.ptp(uv[:, 1]) for uv in charts)
         return charts, (100, 100) if lies else (150, 50)
 
-    turns, scale = _best_turns(
-        boxes, [SQUARE[1]] * 3, 100, 0.01, as_if_placed, np.random.default_rng(0)
-    )
+    turns, scale = _best_turns(boxes, [SQUARE[1]] * 3, 100, 0.01, as_if_placed, numpy_rng(0))
     assert (turns % 2 == 0).all()
     area = sum(areas(uv, SQUARE[1]).sum() for uv in boxes)
     assert np.isclose(scale, (DENSITY * 100**2 / area) ** 0.5)
