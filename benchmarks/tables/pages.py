@@ -9,6 +9,7 @@ from pathlib import Path
 from benchmarks import (
     atlas_tables,
     ladder_tables,
+    memory,
     parsimony_tables,
     surfaces_tables,
     trust_tables,
@@ -64,6 +65,7 @@ def of_assets() -> dict[str, Callable[[], str]]:
         "trust_summary": lambda: trust_tables.summary(rows_of("trust")),
         "trust_wrong": lambda: trust_tables.wrong(rows_of("trust")) + source("trust"),
         "work_slopes": lambda: work_tables.slopes(results("work")["data"]),
+        "memory": lambda: memory.table(rows_of("memory")) + source("memory"),
         "work_figures": lambda: work_tables.figures(results("work")["data"]) + source("work"),
     }
 
