@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.study.intervals import paired
+from benchmarks.study.intervals import paired, resampled
 from benchmarks.study.methods import OURS
 from benchmarks.study.tables import (
     coverage_error,
@@ -15,6 +15,7 @@ from benchmarks.study.tables import (
     scene_mean,
     scenes_in,
     seconds,
+    shares_held,
 )
 
 CORES = 2  # draws are made on one thread each, two at a time
@@ -52,13 +53,22 @@ def relight_points(data: dict) -> list[Point]:
 
 
 def coverage_points(data: dict) -> list[Point]:
-    """Distance of the share that 80 % intervals hold from 80 %."""
-    found = {m: (seconds(data, m), coverage_error(data, m)) for m in methods_in(data)}
-    return [
-        Point(method, spent / CORES, error, 0, 0)
-        for method, (spent, error) in found.items()
-        if spent is not None and error is not None
-    ]
+    """Error of the 80 % intervals (`coverage_error`), with its bootstrap interval over scenes."""
+    out = []
+    for method in methods_in(data):
+        shares, spent = shares_held(data, method), seconds(data, method)
+        if shares is None or spent is None:
+            continue
+        error = float(coverage_error(shares))
+        low, high = error_interval(shares) if len(shares) > 1 else (error, error)
+        reach = max(error - low, 0.0), max(high - error, 0.0)
+        out.append(Point(method, spent / CORES, error, *reach))
+    return out
+
+
+def error_interval(shares: np.ndarray) -> tuple[float, float]:
+    """Bootstrap interval over scenes of the `coverage_error` of shares (scenes, kinds)."""
+    return resampled(len(shares), lambda chosen: coverage_error(shares[chosen]))
 
 
 def front(points: list[Point], higher: bool) -> list[Point]:
@@ -108,7 +118,32 @@ def unclear(points: list[Point]) -> str:
 
 
 def coverage_choice(data: dict) -> str:
-    return choice(coverage_points(data), False, "", "intervals that hold what they promise")
+    points = coverage_points(data)
+    text = choice(points, False, "", "intervals that hold what they promise")
+    return f"{text}{as_good(data, points)}"
+
+
+def as_good(data: dict, points: list[Point]) -> str:
+    """A sentence that names the methods whose intervals are worse than the best one's by no more
+    than chance: the bootstrap interval of the difference, paired by scene, holds 0.
+    """
+    if len(points) < 2:
+        return ""
+    best, *others = sorted(points, key=lambda point: point.value)
+    near = [f"`{p.method}`" for p in others if error_ahead(data, best.method, p.method) <= 0]
+    return f" That it is ahead of {', '.join(near)} may be chance." if near else ""
+
+
+def error_ahead(data: dict, best: str, other: str) -> float:
+    """By how much the error of the intervals of `best` is at least smaller than that of `other`:
+    the lower end of the bootstrap interval, paired by scene; 0 for a single scene.
+    """
+    ours, theirs = shares_held(data, best), shares_held(data, other)
+    assert ours is not None and theirs is not None  # a method in the chart has them
+    if len(ours) < 2:
+        return 0.0
+    ahead = lambda chosen: coverage_error(theirs[chosen]) - coverage_error(ours[chosen])
+    return resampled(len(ours), ahead)[0]
 
 
 def speed_against(data: dict, slow: str = "dpi_paper_1000") -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy import stats
 
@@ -17,15 +19,23 @@ def paired(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
     difference = np.asarray(a, float) - np.asarray(b, float)
     if len(difference) < 2:
         return float(difference.mean()), np.nan, np.nan
+    found = resampled(len(difference), lambda chosen: difference[chosen].mean(-1))
+    return float(difference.mean()), *found
+
+
+def resampled(units: int, statistic: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
+    """Bootstrap interval of a statistic of `units` units, a function (..., n) -> (...) of their
+    numbers: percentiles of its values for units drawn with replacement.
+    """
     found = stats.bootstrap(
-        (difference,),
-        np.mean,
+        (np.arange(units),),
+        lambda chosen, axis: statistic(np.moveaxis(chosen, axis, -1)),
         n_resamples=RESAMPLES,
         confidence_level=LEVEL,
         method="percentile",
         rng=np.random.default_rng(0),
     ).confidence_interval
-    return float(difference.mean()), float(found.low), float(found.high)
+    return float(found.low), float(found.high)
 
 
 def views_of(rows: list[dict], kind: str) -> np.ndarray:

@@ -16,6 +16,7 @@ from benchmarks.study.charts import chart, charts
 from benchmarks.study.front import (
     Point,
     choice,
+    coverage_choice,
     coverage_points,
     front,
     relight_points,
@@ -37,6 +38,7 @@ from benchmarks.study.tables import (
     scene_mean,
     scores,
     seconds,
+    shares_held,
 )
 from benchmarks.study.yardstick_tables import means
 from pipeline.base.errors import InputError
@@ -86,11 +88,35 @@ def test_means_are_of_scenes_and_only_where_all_have_rows(data):
     assert mean_of(data, OURS, "relight_psnr") == 20.5
     assert scene_mean(data, "b", "map", "albedo_mse") == 16
     assert seconds(data, "dpi_paper") == 120
-    assert coverage_error(data, OURS) == pytest.approx(0.1)
-    assert coverage_error(data, "map") is None
+    assert shares_held(data, OURS) == pytest.approx(np.full((2, 3), 0.7))
+    assert shares_held(data, "map") is None
     data["rows"] = [r for r in data["rows"] if (r["scene"], r["method"]) != ("b", "map")]
     assert mean_of(data, "map", "relight_psnr") is None
     assert "`map`" not in scores(data) and "`dpi_paper`" in scores(data)
+
+
+def test_errors_of_intervals_are_of_all_scenes_together():
+    """All of one scene's unknowns inside, and six tenths of the other's: 80 % hold. One kind too
+    wide by .1 does not make up for one too narrow by .1.
+    """
+    assert coverage_error(np.array([[1.0, 1.0], [0.6, 0.6]])) == pytest.approx(0)
+    assert coverage_error(np.array([[0.9, 0.7], [0.9, 0.7]])) == pytest.approx(0.1)
+
+
+def test_intervals_that_are_better_by_chance_are_said_to_be(data):
+    """One scene for the one, one for the other; and better in both."""
+    one, two = together(OURS, 0.7), together("dpi_paper", 0.6)
+    assert "chance" not in coverage_choice(data | {"together": one + two})
+    two[1]["scores"] = together("dpi_paper", 0.75)[1]["scores"]
+    said = coverage_choice(data | {"together": one + two})
+    assert said.endswith("That it is ahead of `dpi_paper` may be chance.")
+
+
+def test_errors_of_intervals_have_bars_over_scenes(data):
+    data["together"] = [*together(OURS, 0.7, ("a",)), *together(OURS, 0.5, ("b",))]
+    (point,) = coverage_points(data)
+    assert point.value == pytest.approx(0.2)
+    assert (point.low, point.high) == pytest.approx((0.1, 0.1))
 
 
 def test_pieces_of_a_study_are_named_as_one(monkeypatch):
