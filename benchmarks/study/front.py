@@ -159,4 +159,6 @@ def speed_against(data: dict, slow: str = "dpi_paper_1000") -> str:
         return f"`{slow}` has no rows yet whose times can be compared."
     times = [f"{theirs / mine:.1f} times as long as `{method}`" for method, mine in ours.items()]
     count = f"{len(scenes)} scene" + "s" * (len(scenes) > 1)
-    return f"On {count} `{slow}` takes {', and '.join(times)}, refinement included."
+    *first, last = times
+    said = f"{', '.join(first)}, and {last}" if first else last
+    return f"On {count} `{slow}` takes {said}, refinement included."
