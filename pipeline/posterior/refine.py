@@ -209,7 +209,7 @@ def judged_gloss(
         return explanation, everywhere, {}
     parts = folds(problem.observations, rng)
     if not parts:
-        why = "maps stay: too few photos to judge them by"
+        why = "too few photos to judge them by"
         return explanation, everywhere, {"gloss": {"why": why}}
 
     few = settings.shading_pixels // FEWEST

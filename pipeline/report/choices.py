@@ -1,93 +1,118 @@
-"""What was chosen of the model, and on which evidence, in plain words."""
+"""What was chosen of the model, and on which evidence, in plain words: a table."""
 
 from __future__ import annotations
 
+from collections import defaultdict
+from typing import NamedTuple
 
-def texture_words(decision: dict) -> str:
+
+class Choice(NamedTuple):
+    """A row of the table: of what, what was chosen, and why."""
+
+    what: str
+    chosen: str
+    why: str
+
+
+def texture_choice(decision: dict) -> Choice:
     sides, was = decision["chosen"]["refine"], decision["configured"]["refine"]
     texels = decision["evidence"]["texels_for_one_each_pixel"]
-    return (
-        f"Textures have {sides['texture']} texels a side, {was['texture']} were allowed: at "
-        f"{texels:.0f} a texel is as large as what the median pixel shows. Roughness and metallic "
-        f"have {sides['gloss_texture']} where they are textures."
+    return Choice(
+        "textures",
+        f"{sides['texture']} of {was['texture']} texels a side, {sides['gloss_texture']} where "
+        "roughness and metallic are textures",
+        f"at {texels:.0f} a texel is as large as what the median pixel shows",
     )
 
 
-def bounces_words(decision: dict) -> str:
+def bounces_choice(decision: dict) -> Choice:
     depth, most = (decision[k]["render"]["max_depth"] for k in ("chosen", "configured"))
     evidence = decision["evidence"]
     blocked = evidence["hemisphere_blocked_by_the_object"]["mean"]
     lost = evidence["lost_share_by_max_depth"][str(depth)]
-    return (
-        f"Light is followed over {depth - 1} surface interactions, {most - 1} were allowed: the "
-        f"object hides {100 * blocked:.1f} % of its own sky, and what is left out is "
-        f"{100 * lost:.1f} % of the light."
+    return Choice(
+        "surface interactions of light",
+        f"{depth - 1} of {most - 1}",
+        f"the object hides {100 * blocked:.1f} % of its own sky, and what is left out is "
+        f"{100 * lost:.1f} % of the light",
     )
 
 
-def light_words(decision: dict) -> str:
+def light_choice(decision: dict) -> Choice:
     rows, most = (decision[k]["sample"]["light"] for k in ("chosen", "configured"))
     needed = decision["evidence"]["rows_told_apart"]
     if needed is None:
-        return f"The light keeps its {most} rows: the surface was given, without an error."
-    return (
-        f"The light has {rows} rows, {most} were allowed: normals in error blur reflections so "
-        f"much that {needed:.0f} rows hold all that can be seen."
-    )
+        why = "the surface was given, without an error"
+    else:
+        why = (
+            "normals in error blur reflections so much that "
+            f"{needed:.0f} rows hold all that can be seen"
+        )
+    return Choice("rows of the light", f"{rows} of {most}", why)
 
 
-def fit_words(decision: dict) -> str:
+def fit_choice(decision: dict) -> Choice:
     work, was = decision["chosen"]["fit"], decision["configured"]["fit"]
-    return (
-        f"The fit has {work['steps']} steps of {work['pixels']} pixels and {work['texture']} "
-        f"texels a side, {was['steps']}, {was['pixels']} and {was['texture']} were allowed: every "
-        f"texel is looked at {decision['evidence']['looks_at_a_texel']:.0f} times."
+    return Choice(
+        "the fit",
+        f"{work['steps']} of {was['steps']} steps, {work['pixels']} of {was['pixels']} pixels, "
+        f"{work['texture']} of {was['texture']} texels a side",
+        f"every texel is looked at {decision['evidence']['looks_at_a_texel']:.0f} times",
     )
 
 
-WORDS = {
-    "texture": texture_words,
-    "bounces": bounces_words,
-    "light": light_words,
-    "fit": fit_words,
+DECISIONS = {
+    "texture": texture_choice,
+    "bounces": bounces_choice,
+    "light": light_choice,
+    "fit": fit_choice,
 }
 
 
-def body_words(body: dict, rungs: list[str]) -> str:
-    """One body of one sample: its rung, and by what share the step up to it, or the best of those
+def why_of(body: dict, rungs: list[str]) -> str:
+    """Why a body of a sample has its rung: by what share the step up to it, or the best of those
     that it did not take, makes the error of photos that were left out smaller.
     """
-    words = f"{100 * body['share']:.0f} % {body['chosen']}"
     if not body["tried"]:
-        return words
+        return "nothing else was tried"
     taken = [step for step in body["tried"] if rungs[step["to"]] == body["chosen"]]
     best = max(body["tried"], key=lambda step: step["gain"] - 2 * step["standard_error"])
     step = taken[-1] if taken else best
-    sure = f"{100 * step['gain']:+.1f} % ± {100 * step['standard_error']:.1f}"
+    sure = f"{100 * step['gain']:.1f} % ± {100 * step['standard_error']:.1f}"
     if taken:
-        return f"{words} ({sure} of the error of {rungs[step['from']]})"
+        return f"it saves {sure} of the error of {rungs[step['from']]}"
     if step["gain"] <= 0:
-        return f"{words} (none predicts better)"
-    return f"{words} ({rungs[step['to']]} would save {sure} of the error: too little to be sure)"
+        return "nothing else predicts better"
+    return f"{rungs[step['to']]} would save {sure} of the error: too little to be sure"
 
 
-def choices(facts: dict[str, dict]) -> list[str]:
-    """Sentences on every decision that was taken. facts: stage -> its metrics."""
+def gloss_choices(sample: str, found: dict) -> list[Choice]:
+    """Of one sample: its surface as a whole, then its bodies of one colour, those together that
+    were judged alike.
+    """
+    what = f"gloss and metal of sample {sample}"
+    if "why" in found:
+        return [Choice(what, "maps, as drawn", found["why"])]
+    rungs, surface = found["rungs"], found["surface"]
+    judged = f"judged by {found['blocks']} blocks of {found['photos_left_out']} photos left out"
+    out = [Choice(what, surface["chosen"], f"{why_of(surface, rungs)}; {judged}")]
+
+    alike = defaultdict(list)
+    for body in found["bodies"]:
+        if body["share"]:
+            alike[body["chosen"], why_of(body, rungs)].append(body["share"])
+    for (chosen, why), shares in alike.items():
+        bodies = "a body" if len(shares) == 1 else f"{len(shares)} bodies"
+        out.append(Choice(f"{bodies} of it, {100 * sum(shares):.0f} %", chosen, why))
+    return out
+
+
+def choices(facts: dict[str, dict]) -> list[Choice]:
+    """Every decision that was taken. facts: stage -> its metrics."""
     decisions = facts["choose"]["decisions"]
-    out = [
-        words(decisions[name])
-        for name, words in WORDS.items()
-        if "chosen" in decisions.get(name, {})
-    ]
+    taken = {name: decisions[name] for name in DECISIONS if "chosen" in decisions.get(name, {})}
+    out = [DECISIONS[name](decision) for name, decision in taken.items()]
     for stage, fact in facts.items():
-        found = fact.get("gloss", {}) if stage.startswith("refine") else {}
-        if "why" in found:
-            out.append(f"Sample {stage.split()[1]}: {found['why']}.")
-        elif found:
-            said = [body_words(body, found["rungs"]) for body in found["bodies"] if body["share"]]
-            out.append(
-                f"Gloss and metal of sample {stage.split()[1]}, judged by {found['blocks']} blocks "
-                f"of {found['photos_left_out']} photos that were left out: the surface as a whole "
-                f"{found['surface']['chosen']}; its bodies of one colour {'; '.join(said)}."
-            )
+        if stage.startswith("refine") and fact.get("gloss"):
+            out += gloss_choices(stage.split()[1], fact["gloss"])
     return out

@@ -85,6 +85,5 @@ def samples_words(found: dict, count: int) -> str:
     verdict = "enough" if needed <= count else "too few"
     return (
         f"{count} samples are {verdict}: their base colours differ by {found['spread']:.3f} (sRGB, "
-        f"root mean square), so {needed} give a mean that is known to {found['known_to']:.2f}. "
-        "More are made with `samples: N`."
+        f"root mean square), so {needed} give a mean that is known to {found['known_to']:.2f}."
     )

@@ -42,6 +42,12 @@ def shrink(texture: np.ndarray) -> np.ndarray:
     return cv2.resize(texture, (384, 384), interpolation=cv2.INTER_AREA)
 
 
+def range_words(values: np.ndarray) -> str:
+    """What a map's picture cannot say: the one value that it has, or that white stands for 1."""
+    low, high = values.min(), values.max()
+    return f"{low:.2f} everywhere" if high - low < 0.005 else "white = 1"
+
+
 def normal_map(work: Path) -> bytes | None:
     """The surface's normal map as it is exported, or None where it has none."""
     normals = Surface.of(work / "atlas" / "mesh_uv.ply").normals
@@ -141,6 +147,8 @@ class Painter:
             "base_color": encode(to_srgb8(shrink(x.base_color))),
             "roughness": grey(x.roughness),
             "metallic": grey(x.metallic),
+            "roughness_says": range_words(x.roughness),
+            "metallic_says": range_words(x.metallic),
             "render": encode(to_srgb8(picture)[self.box]),
             "error": encode(heat(error, 0.25)[self.box]),
             "relight": encode(to_srgb8(other)[self.box]),

@@ -21,9 +21,10 @@ from pipeline.geometry.mesh_io import load_mesh
 from pipeline.geometry.normal_maps import write_normal_map
 from pipeline.render.renderer import Renderer
 from pipeline.report import trust
+from pipeline.report.choices import gloss_choices
 from pipeline.report.draws import samples_needed
 from pipeline.report.make import make_report
-from pipeline.report.pictures import Painter, evening_light, heat
+from pipeline.report.pictures import Painter, evening_light, heat, range_words
 from tests.render.pictures import render_view
 from tests.render.test_renderer import explanation
 
@@ -290,8 +291,10 @@ def test_choices_are_said_with_their_evidence(page, work):
         "surface": {"chosen": "matt", "tried": []},
         "bodies": [
             {"share": 0.8, "chosen": "one gloss", "tried": [step(1, 0.31), step(2, 0.02)]},
-            {"share": 0.15, "chosen": "matt", "tried": [step(1, -0.025), step(2, 0.05)]},
+            {"share": 0.1, "chosen": "matt", "tried": [step(1, -0.025), step(2, 0.05)]},
             {"share": 0.05, "chosen": "matt", "tried": [step(1, -0.025), step(2, -0.01)]},
+            {"share": 0.04, "chosen": "matt", "tried": [step(1, -0.02), step(2, -0.01)]},
+            {"share": 0.0, "chosen": "gloss map", "tried": []},
         ],
     }
     refined = read_json(work / "refine" / "1" / "refine.json")
@@ -299,15 +302,47 @@ def test_choices_are_said_with_their_evidence(page, work):
 
     make_report(work, Path("x.usda"), work / "r.html", SCENE)
     said = (work / "r.html").read_text(encoding="utf-8")
-    assert "over 1 surface interactions, 3 were allowed" in said
-    assert "hides 3.1 % of its own sky, and what is left out is 1.4 %" in said
-    assert "has 120 steps of 1366 pixels and 64 texels a side, 300, 8192 and 256 were" in said
-    assert "every texel is looked at 40 times" in said
-    assert "sample 1, judged by 70 blocks of 3 photos" in said and "sample 0, judged" not in said
-    assert "the surface as a whole matt; its bodies of one colour 80 % one gloss" in said
-    assert "80 % one gloss (+31.0 % ± 4.0 of the error of matt)" in said
-    assert "15 % matt (gloss map would save +5.0 % ± 4.0 of the error: too little" in said
-    assert "5 % matt (none predicts better)" in said
+    rows = [re.split("<t[dh][^>]*>", row)[1:] for row in said.split("<tr>")]
+    rows = [[cell.strip() for cell in row] for row in rows]
+    start = rows.index(["of what", "chosen", "why"]) + 1
+    assert rows[start : start + 5] == [
+        [
+            "surface interactions of light",
+            "1 of 3",
+            "the object hides 3.1 % of its own sky, and what is left out is 1.4 % of the light",
+        ],
+        [
+            "the fit",
+            "120 of 300 steps, 1366 of 8192 pixels, 64 of 256 texels a side",
+            "every texel is looked at 40 times",
+        ],
+        [
+            "gloss and metal of sample 1",
+            "matt",
+            "nothing else was tried; judged by 70 blocks of 3 photos left out",
+        ],
+        ["a body of it, 80 %", "one gloss", "it saves 31.0 % ± 4.0 of the error of matt"],
+        [
+            "a body of it, 10 %",
+            "matt",
+            "gloss map would save 5.0 % ± 4.0 of the error: too little to be sure",
+        ],
+    ]
+    assert rows[start + 5][:2] == ["2 bodies of it, 9 %", "matt"]
+    assert rows[start + 5][2].startswith("nothing else predicts better")
+    assert "sample 0" not in str(rows[start : start + 6])
+
+
+def test_a_gloss_that_nothing_could_judge_is_said_so():
+    found = gloss_choices("2", {"why": "too few photos to judge them by"})
+    assert found == [
+        ("gloss and metal of sample 2", "maps, as drawn", "too few photos to judge them by")
+    ]
+
+
+def test_a_constant_map_has_its_value_in_words():
+    assert range_words(np.full((4, 4), 0.812)) == "0.81 everywhere"
+    assert range_words(np.linspace(0.81, 0.82, 16)) == "white = 1"
 
 
 def test_samples_needed_follow_from_their_spread(page):
