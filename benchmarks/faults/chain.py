@@ -172,5 +172,6 @@ def stage_name(process: psutil.Process) -> str:
         words = process.cmdline()
     except (psutil.NoSuchProcess, psutil.ZombieProcess):
         return ""
-    name = next((w for w in words if w.startswith("stages.")), "")
-    return name.removeprefix("stages.") if "python" in Path(words[0]).name else ""
+    if not words or "python" not in Path(words[0]).name:  # a process that ends has no words
+        return ""
+    return next((w for w in words if w.startswith("stages.")), "").removeprefix("stages.")

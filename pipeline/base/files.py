@@ -59,7 +59,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 def _replaceable(path: Path, mark: str) -> None:
     """InputError unless `path` may be replaced as a whole: it is not there, or an empty folder, or
-    an earlier result, which holds the file `mark`; and nobody works in it or below it.
+    an earlier result, which holds the file `mark`, or what is left of one (`is_remainder`); and
+    nobody works in it or below it.
     """
     whole = Path(os.path.realpath(path))
     here = Path(os.path.realpath(os.curdir))
@@ -71,7 +72,8 @@ def _replaceable(path: Path, mark: str) -> None:
         )
     if path.is_symlink() or (path.exists() and not path.is_dir()):
         raise InputError("this is no folder", path, "choose another name for --out")
-    if path.exists() and any(path.iterdir()) and not (path / mark).exists():
+    empty = not path.exists() or not any(path.iterdir())
+    if not (empty or (path / mark).exists() or manifest.is_remainder(path)):
         raise InputError(
             f"the folder is not empty and holds no {mark}: it is no earlier result of this stage",
             path,

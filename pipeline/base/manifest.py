@@ -50,13 +50,42 @@ def damaged(manifest: Path) -> list[str]:
     """
     if not manifest.exists():
         return []
+    entries = _entries(manifest)
+    if entries is None:
+        return [manifest.name]
+    return [name for name, size, time in entries if _is_damaged(manifest.parent, name, size, time)]
+
+
+def _entries(manifest: Path) -> list[tuple[str, int, int]] | None:
+    """Path, size and time of every file in a manifest; None where it cannot be read."""
     try:
         noted = json.loads(manifest.read_text(encoding="utf-8"))
-        entries = [(name, int(size), int(time)) for name, (size, time) in noted.items()]
+        return [(name, int(size), int(time)) for name, (size, time) in noted.items()]
     except (ValueError, TypeError, AttributeError):
-        return [manifest.name]
+        return None
 
-    return [name for name, size, time in entries if _is_damaged(manifest.parent, name, size, time)]
+
+def note_anew(manifest: Path) -> None:
+    """Note what is left of the files in `manifest` as they are now: nothing counts as damaged any
+    more, and what is left is still known to be of a stage. One that cannot be read is deleted.
+    """
+    entries = _entries(manifest)
+    if entries is None:
+        manifest.unlink()
+        return
+    files = [manifest.parent / name for name, _, _ in entries]
+    write_manifest(manifest, [file for file in files if file.exists()])
+
+
+def is_remainder(folder: Path) -> bool:
+    """Whether all files in a folder are noted in its manifest: what is left of a stage's result,
+    of which Snakemake deletes the files that it knows of when it sees the stage die after its end.
+    """
+    if not (folder / NAME).exists():
+        return False
+    known = {NAME, *(name for name, _, _ in _entries(folder / NAME) or [])}
+    files = (path for path in folder.rglob("*") if not path.is_dir() or path.is_symlink())
+    return all(path.relative_to(folder).as_posix() in known for path in files)
 
 
 def _is_damaged(top: Path, name: str, size: int, time: int) -> bool:

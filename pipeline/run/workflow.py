@@ -104,7 +104,7 @@ def note_damage(scene: str, job: str) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     with open(file, "a") as mark:
         mark.write("\n")
-    manifest_of(scene, job).unlink()
+    manifest.note_anew(manifest_of(scene, job))
 
 
 def stage_command(stage: str, job: str, options: str, settings: list[str]) -> str:

@@ -4,8 +4,9 @@ import os
 
 import pytest
 
+from pipeline.base.errors import InputError
 from pipeline.base.files import stage_folder
-from pipeline.base.manifest import NAME, damaged, write_manifest
+from pipeline.base.manifest import NAME, damaged, is_remainder, note_anew, write_manifest
 
 
 @pytest.fixture
@@ -82,3 +83,49 @@ def test_a_stages_folder_has_its_manifest(tmp_path):
     assert damaged(tmp_path / "s" / NAME) == []
     cut(tmp_path / "s" / "images" / "a", 1)
     assert damaged(tmp_path / "s" / NAME) == ["images/a"]
+
+
+def test_what_is_noted_anew_is_not_damaged(made):
+    (made / "a.json").unlink()
+    cut(made / "images" / "b.exr", 3)
+    cut(made.parent / "export.usda", 2)
+    assert len(damaged(made / NAME)) == 3
+    note_anew(made / NAME)
+    assert damaged(made / NAME) == []
+    cut(made / "images" / "b.exr", 1)
+    assert damaged(made / NAME) == ["images/b.exr"]
+
+    (made / NAME).write_text("{")
+    note_anew(made / NAME)
+    assert not (made / NAME).exists()
+
+
+def test_what_is_left_of_a_result_is_replaced_and_no_other_file_is(tmp_path):
+    """A stage that is killed after its end: Snakemake deletes those of its files that it knows, and
+    the next run notes that they are missing.
+    """
+    folder = tmp_path / "mesh"
+
+    def run() -> None:
+        with stage_folder(folder, "mesh.json") as out:
+            (out / "masks").mkdir()
+            (out / "masks" / "p0.png").write_text("12")
+            (out / "mesh.json").write_text("{}")
+
+    run()
+    (folder / "mesh.json").unlink()
+    note_anew(folder / NAME)
+    assert is_remainder(folder)
+    run()
+    assert (folder / "mesh.json").exists() and damaged(folder / NAME) == []
+
+    (folder / "mesh.json").unlink()
+    note_anew(folder / NAME)
+    (folder / "masks" / "mine.png").write_text("3")
+    with pytest.raises(InputError, match="no earlier result"):
+        run()
+    assert (folder / "masks" / "mine.png").read_text() == "3"
+    (folder / "masks" / "mine.png").unlink()
+    (folder / NAME).unlink()
+    with pytest.raises(InputError, match="no earlier result"):
+        run()
