@@ -15,6 +15,8 @@ from pipeline.base.files import atomic_path
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec.709 primaries
 LARGEST_HALF = 65504  # largest finite float16
+FEWEST_IN_ROW, MOST_IN_ROW = 5, 8  # tiles of a contact sheet
+FILLED = 128  # value of a contact sheet beside its pictures
 
 
 def srgb_to_linear(x: np.ndarray) -> np.ndarray:
@@ -50,13 +52,23 @@ def to_srgb8(linear: np.ndarray) -> np.ndarray:
     return (linear_to_srgb(linear) * 255 + 0.5).astype(np.uint8)
 
 
-def in_rows(tiles: list[np.ndarray], columns: int) -> np.ndarray:
-    """Contact sheet of pictures (h, w, 3) uint8 of one height, `columns` in a row; narrower tiles
-    and the last row are filled up with black.
+def full_rows(count: int) -> int:
+    """How many of `count` tiles make a row, so that the last row lacks the fewest."""
+    if count <= MOST_IN_ROW:
+        return count
+    return min(range(MOST_IN_ROW, FEWEST_IN_ROW - 1, -1), key=lambda columns: -count % columns)
+
+
+def in_rows(tiles: list[np.ndarray], columns: int | None = None) -> np.ndarray:
+    """Contact sheet of pictures (h, w, 3) uint8 of one height, `columns` in a row (None:
+    `full_rows`); narrower tiles and the last row are filled up with grey, which neither a light
+    page nor a dark one takes for a picture.
     """
+    columns = columns or full_rows(len(tiles))
     width = max(t.shape[1] for t in tiles)
-    tiles = [np.pad(t, ((0, 0), (0, width - t.shape[1]), (0, 0))) for t in tiles]
-    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
+    beside = lambda tile: ((0, 0), (0, width - tile.shape[1]), (0, 0))
+    tiles = [np.pad(tile, beside(tile), constant_values=FILLED) for tile in tiles]
+    tiles += [np.full_like(tiles[0], FILLED)] * (-len(tiles) % columns)
 
     rows = [np.concatenate(tiles[k : k + columns], 1) for k in range(0, len(tiles), columns)]
     return np.concatenate(rows)

@@ -63,9 +63,7 @@ def choose(poses: Path, rig: Rig, settings: Masks) -> str:
     return "given" if every else "plane"
 
 
-def overlay(
-    poses: Path, rig: Rig, masks: dict, height: int = 200, columns: int = 6, limit: int = 36
-) -> np.ndarray:
+def overlay(poses: Path, rig: Rig, masks: dict, height: int = 200, limit: int = 36) -> np.ndarray:
     """Contact sheet: the photos, dimmed outside their mask, outline in magenta."""
     tiles = []
     for v in rig.views[:: max(1, int(np.ceil(len(rig.views) / limit)))]:
@@ -76,7 +74,7 @@ def overlay(
         outline = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
         cv2.drawContours(tile, outline, -1, (255, 0, 255), 1)
         tiles.append(tile)
-    return in_rows(tiles, columns)
+    return in_rows(tiles)
 
 
 def _rim(mask: np.ndarray) -> np.ndarray:

@@ -57,13 +57,13 @@ def normal_map(work: Path) -> bytes | None:
 
 
 def contact_sheet(work: Path, rig: Rig, height: int = 150, limit: int = 18) -> bytes:
-    """At most `limit` of the photos, six in a row, as JPEG."""
+    """At most `limit` of the photos, as JPEG."""
     tiles = []
     for v in rig.views[:: max(1, -(-len(rig.views) // limit))]:
         photo = to_srgb8(read_exr(work / "poses" / v.image))
         size = (round(v.width * height / v.height), height)
         tiles.append(cv2.resize(photo, size, interpolation=cv2.INTER_AREA))
-    return encode(in_rows(tiles, 6))
+    return encode(in_rows(tiles))
 
 
 def show_light(light: np.ndarray, exposure: float, width: int = 512) -> np.ndarray:

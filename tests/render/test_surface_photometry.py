@@ -13,6 +13,7 @@ from pipeline.render.surface_photometry import (
     surface_motion,
     surface_photometry,
     variance_left,
+    worth_dividing,
 )
 from tests.photos.test_turntable import sightings
 from tests.seeds import numpy_rng
@@ -108,6 +109,22 @@ def test_shading_is_not_divided_out(views):
     rig = Rig(views, np.zeros(3), 0.5, "transforms.json")
     stops, facts = surface_photometry(table_of(views, "rests"), views, rig, "poses", Poses())
     assert not stops.any() and not facts["exposure_matched"]
+
+
+@pytest.mark.parametrize("jitter, matched", [(0.0, False), (1.0, True)])
+def test_a_metal_is_not_divided_by_what_it_mirrors(jitter, matched):
+    """Every photo shows another part of the light in a smooth metal: its cells vary by .45 stops
+    each, and by .4 together.
+    """
+    rng = numpy_rng(4)
+    together = rng.normal(size=16)
+    together = (0.4 + jitter) * (together - together.mean()) / together.std()
+    apart = rng.normal(size=(16, 400))
+    apart = 0.45 * (apart - apart.mean(0)) / apart.std(0)
+    brightness = np.repeat((together[:, None] + apart)[..., None], 3, 2)
+    fit = np.ones(16, bool)
+    stops, facts = worth_dividing(brightness, gains(brightness, fit), fit)
+    assert facts["exposure_matched"] is matched and bool(stops.any()) is matched
 
 
 def test_variance_left_is_what_gains_do_not_explain():
