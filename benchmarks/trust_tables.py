@@ -1,11 +1,14 @@
-"""Tables of the rows of benchmarks.trust: how well the score tells failures, where it is wrong."""
+"""Tables of the rows of benchmarks.trust: how well the score tells failures, and
+examples of what it says."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from benchmarks.markdown import number, pipe_table
-from benchmarks.trust import LIMIT, figures, left_out
+from benchmarks.trust import ALARM, LIMIT, figures, left_out
+
+RIGHT = 3  # right alarms that are shown
 
 
 def summary(rows: list[dict]) -> str:
@@ -23,16 +26,29 @@ def summary(rows: list[dict]) -> str:
     return pipe_table(["judged by a model that has not seen the kind", ""], body)
 
 
-def wrong(rows: list[dict]) -> str:
-    """The runs that the score is wrong about, the worst first."""
+def verdicts(chance: np.ndarray, failed: np.ndarray) -> dict[str, np.ndarray]:
+    """Numbers of the runs that are alarms, right and false, and of failures that were missed, each
+    with the clearest first.
+    """
+    alarm = chance >= ALARM
+    order = np.argsort(-np.abs(chance - ALARM))
+    kinds = {"right alarm": alarm & failed, "false alarm": alarm & ~failed}
+    kinds["missed"] = ~alarm & failed
+    return {name: order[chosen[order]] for name, chosen in kinds.items()}
+
+
+def examples(rows: list[dict]) -> str:
+    """Runs with an alarm, the clearest RIGHT of the right ones and all false ones, and all failures
+    without one.
+    """
     chance = left_out(rows)
     failed = np.array([row["relight_psnr"] < LIMIT for row in rows])
     body = []
-    for k in np.argsort(-np.abs(chance - failed)):
-        if (chance[k] >= 0.5) != failed[k]:
+    for name, found in verdicts(chance, failed).items():
+        for k in found[: RIGHT if name == "right alarm" else None]:
             row, given = rows[k], rows[k]["evidence"]
-            cells = [f"`{row['scene']}`", number(row["relight_psnr"]), number(chance[k], 2)]
+            cells = [name, f"`{row['scene']}`", number(row["relight_psnr"]), number(chance[k], 2)]
             cells += [number(given["agreement"]), number(given["explained"])]
             body.append([*cells, number(given["level"], 2), number(given["outline"], 2)])
-    head = ["run", "relight dB", "chance of failure", "agreement dB", "unseen photos dB"]
+    head = ["", "run", "relight dB", "chance of failure", "agreement dB", "unseen photos dB"]
     return pipe_table([*head, "spread of level", "outline"], body)

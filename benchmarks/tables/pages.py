@@ -63,7 +63,7 @@ def of_assets() -> dict[str, Callable[[], str]]:
         ),
         "ladder_worst": lambda: ladder_tables.worst(rows_of("ladder_truth")),
         "trust_summary": lambda: trust_tables.summary(rows_of("trust")),
-        "trust_wrong": lambda: trust_tables.wrong(rows_of("trust")) + source("trust"),
+        "trust_examples": lambda: trust_tables.examples(rows_of("trust")) + source("trust"),
         "work_slopes": lambda: work_tables.slopes(results("work")["data"]),
         "memory": lambda: memory.table(rows_of("memory")) + source("memory"),
         "work_figures": lambda: work_tables.figures(results("work")["data"]) + source("work"),
