@@ -46,7 +46,19 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
     posed = sum(image.has_pose for image in model.images.values())
     if not posed:
         raise InputError(f"0 of {len(model.images)} images have a pose", folder, AGAIN)
+    _check_names(model, folder)
     return model
+
+
+def _check_names(model: pycolmap.Reconstruction, folder: Path) -> None:
+    """InputError for an image whose name is no text."""
+    for number, image in model.images.items():
+        try:
+            image.name  # noqa: B018  decoded where it is asked for
+        except UnicodeDecodeError as error:
+            raise InputError(
+                f"the name of image {number} is damaged, or not in UTF-8 ({error})", folder, AGAIN
+            ) from error
 
 
 def _check_count(file: Path, least: int) -> None:

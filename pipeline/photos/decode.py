@@ -32,6 +32,7 @@ TIFF_CURE = "save it as a TIFF of 8 or 16 bits, a linear picture as EXR"
 ORIENTATION = 0x0112
 EXIF_IFD = 0x8769
 INTEROPERABILITY_IFD = 0xA005
+MOST_OF_EXIF = 1e9  # larger numbers of a photo's EXIF, and those below 1 over it, are none
 COLOUR_SPACE = 0xA001  # of EXIF: 1 sRGB, 2 Adobe RGB (not in the standard), 65535 other
 ORIENTED: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     2: lambda a: a[:, ::-1],
@@ -270,10 +271,12 @@ def _exif_facts(tags: Image.Exif) -> dict:
 
 
 def _number(value: Any) -> float | None:
-    """A positive number of EXIF, the first of several; None for what is none."""
+    """A positive number of EXIF, the first of several; None for what is none, or is beyond what any
+    camera can mean.
+    """
     first = value[0] if isinstance(value, tuple) and value else value
     try:
         number = float(first)
     except (TypeError, ValueError, ZeroDivisionError):
         return None
-    return number if np.isfinite(number) and number > 0 else None
+    return number if 1 / MOST_OF_EXIF < number < MOST_OF_EXIF else None

@@ -63,6 +63,11 @@ def path_in_scene(scene: Path, name: str, file: Path) -> Path:
     )
 
 
+def is_there(path: Path) -> bool:
+    """Whether a file exists; one whose name is longer than file systems take does not."""
+    return os.path.exists(path)  # Path.exists raises OSError for such a name
+
+
 def named_frames(scene: Path, file: Path) -> list[Path]:
     """Photos that a transforms file names (suffix may be missing). A missing photo is an
     InputError.
@@ -75,9 +80,9 @@ def named_frames(scene: Path, file: Path) -> list[Path]:
         found = (
             stem
             if stem.suffix.lower() in SUFFIXES
-            else next((p for s in SUFFIXES if (p := stem.with_name(stem.name + s)).exists()), stem)
+            else next((p for s in SUFFIXES if is_there(p := stem.with_name(stem.name + s))), stem)
         )
-        (out if found.exists() else missing).append(found)
+        (out if is_there(found) else missing).append(found)
     if missing:
         raise InputError(
             f"{len(missing)} of {len(stems)} frames name photos that are not there, first "

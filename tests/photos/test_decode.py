@@ -10,7 +10,7 @@ from pipeline.base.config import Capture
 from pipeline.base.errors import InputError
 from pipeline.base.images import srgb_to_linear
 from pipeline.photos.capture import convert
-from pipeline.photos.decode import decode
+from pipeline.photos.decode import EXIF_IFD, _exif_facts, decode
 from tests.photos.files import (
     ADOBE_PROFILE,
     DATA,
@@ -195,3 +195,11 @@ def test_damaged_profile_is_named(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", deep, photometric="rgb", iccprofile=broken)
     with pytest.raises(InputError, match="a.tif.*colours cannot be converted"):
         decode(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("value", [1e200, float("inf"), float("nan"), -4.0, 0.0])
+def test_impossible_numbers_of_exif_are_none(value):
+    exif = Image.Exif()
+    exif.get_ifd(EXIF_IFD).update({0x829D: value, 0x829A: 0.01})
+    facts = _exif_facts(exif)
+    assert facts["time"] == 0.01 and "f_number" not in facts

@@ -14,6 +14,7 @@ from pipeline.photos.given_cameras import Lens, read_transforms, turned_right
 from pipeline.photos.given_world import ground_of_given
 from pipeline.photos.ground_plane import NoGround, ground_plane
 from pipeline.photos.library_frame import rotation_to_y, similarity
+from pipeline.photos.scene_files import named_frames
 from pipeline.photos.sfm import write_inputs
 from pipeline.photos.undistort import undistort
 from pipeline.photos.viewpoints import axes_meeting_point
@@ -420,3 +421,27 @@ def test_a_list_longer_than_its_file_is_refused_before_it_is_read(tmp_path):
     (folder / "images.bin").write_bytes(good[:counted] + b"\xff\xff\xff\x0f" + good[counted + 4 :])
     with pytest.raises(InputError, match=r"images\.bin is damaged"):
         read_model(folder)
+
+
+def test_a_model_with_a_name_that_is_no_text_is_refused(tmp_path):
+    from benchmarks.corpus.models import write_binary
+    from benchmarks.corpus.project import Project
+    from pipeline.photos.colmap_model import read_model
+
+    project = Project(tmp_path / "p")
+    project.make()
+    folder = write_binary(project)
+    good = (folder / "images.bin").read_bytes()
+    assert b"p0.png" in good
+    (folder / "images.bin").write_bytes(good.replace(b"p0.png", b"p\xae.png"))
+    with pytest.raises(InputError, match=r"the name of image \d+ is damaged"):
+        read_model(folder)
+
+
+def test_a_frame_with_a_name_that_no_disk_takes_is_missing(tmp_path):
+    for name in ("x" * 300, "x" * 300 + ".png"):
+        frames = [{"file_path": f"images/{name}", "transform_matrix": np.eye(4).tolist()}]
+        file = tmp_path / "transforms.json"
+        file.write_text(json.dumps({"fl_x": 10, "frames": frames}))
+        with pytest.raises(InputError, match="1 of 1 frames name photos that are not there"):
+            named_frames(tmp_path, file)
