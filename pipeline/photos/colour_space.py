@@ -125,9 +125,15 @@ def _rec709_curve(x: np.ndarray) -> np.ndarray:
     return np.where(x < 0.081, x / 4.5, ((x + 0.099) / 1.099) ** (1 / 0.45)).astype(np.float32)
 
 
+# equal parts of a display's primaries are about white; where they are off by more, a profile is
+# damaged
+FAR_FROM_WHITE = 4.0
+
+
 def of_icc(profile: bytes) -> ColourSpace:
     """Colour space of an ICC profile that consists of curves and a matrix, or, for grey, of one
-    curve. UnknownProfile for those with tables (printers, scanners) and for damaged ones.
+    curve. UnknownProfile for those with tables (printers, scanners) and for damaged ones;
+    ValueError for one whose white is none.
     """
     try:
         tags = _tags(profile)
@@ -139,6 +145,9 @@ def of_icc(profile: bytes) -> ColourSpace:
             red, green, blue = (_curve(tags[name]) for name in (b"rTRC", b"gTRC", b"bTRC"))
             colorants = np.stack([_xyz(tags[name]) for name in (b"rXYZ", b"gXYZ", b"bXYZ")], 1)
             matrix = np.linalg.solve(SRGB_D50, colorants)
+            white = matrix.sum(1)
+            if not (1 / FAR_FROM_WHITE < white).all() or not (white < FAR_FROM_WHITE).all():
+                raise ValueError(f"its profile is damaged: white is {white.round(2)} of sRGB's")
             space = ColourSpace(_description(tags), (red, green, blue), matrix)
         else:
             raise UnknownProfile(f"a profile of kind {kind.decode('latin-1').strip()}")

@@ -170,6 +170,8 @@ def _decode_heif(data: bytes, profiles: bool) -> Photo:
         pixels = np.array(image)  # a copy: libheif's memory goes with `image`
     except RuntimeError as error:  # where a damaged file asks for more than libheif allows
         raise ValueError(str(error)) from error
+    except IndexError as error:
+        raise ValueError("it holds no picture") from error
 
     tags = Image.Exif()
     if image.info.get("exif"):

@@ -203,3 +203,26 @@ def test_impossible_numbers_of_exif_are_none(value):
     exif.get_ifd(EXIF_IFD).update({0x829D: value, 0x829A: 0.01})
     facts = _exif_facts(exif)
     assert facts["time"] == 0.01 and "f_number" not in facts
+
+
+def test_a_profile_without_a_white_is_damaged(tmp_path):
+    """As a flipped bit leaves it: radiance would be ten thousand times too bright."""
+    wild = np.array([[3e4, 2e4, 1e4], [1.0, 2.0, 3.0], [-2e4, 1e4, 5.0]])
+    path = tmp_path / "p.png"
+    Image.fromarray(PICTURE).save(path, icc_profile=icc_profile(wild, srgb_curve()))
+    with pytest.raises(InputError, match="its profile is damaged: white is"):
+        decode(path)
+    assert decode(path, profiles=False).space.is_srgb()
+
+
+def test_a_heif_without_a_picture_is_refused(monkeypatch):
+    import pi_heif
+
+    class Nothing:
+        @property
+        def __array_interface__(self):
+            return [][0]
+
+    monkeypatch.setattr(pi_heif, "open_heif", lambda data, convert_hdr_to_8bit: Nothing())
+    with pytest.raises(InputError, match="plain.heic.*holds no picture"):
+        decode(DATA / "plain.heic")
