@@ -38,7 +38,8 @@ from pipeline.base.progress import progress
 from pipeline.base.runtime import import_open3d, set_threads
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.geometry.mesh_io import Mesh, save_mesh, unit
-from pipeline.posterior.problem import SHADE, generators
+from pipeline.posterior.problem import SHADE
+from pipeline.posterior.random_numbers import generators
 from pipeline.posterior.split_gibbs.light_codes import COMPONENTS, Decoder, Modes, ModeUnknowns
 from pipeline.posterior.split_gibbs.light_moves import (
     gaussian_light,

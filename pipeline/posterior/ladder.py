@@ -35,8 +35,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.posterior.base_color import USUAL, color_map
 from pipeline.posterior.left_out import Fold, gain, squared_error, surely, with_pixels
 from pipeline.posterior.problem import Problem, renderer_seed
+from pipeline.posterior.shading import Shading
 from pipeline.posterior.split_gibbs.regions import group, texel_regions
 from pipeline.posterior.textures import gather
 from pipeline.render.renderer import Explanation
@@ -47,8 +49,9 @@ GROUPED = 20_000  # pixels whose colours are grouped into bodies
 SAME_COLOR = 0.95  # share of the colours' spread that bodies explain: one too many does no harm
 METAL = 0.5  # metallic from which on a texel is of metal
 
-# an explanation, with the base colour that the observations of a problem show under its gloss
-SolveColor = Callable[[Problem, Explanation], Explanation]
+# an explanation that a base colour can be solved from, and what its light and gloss give to the
+# observed pixels of a problem, from paths through so many of them
+Shade = Callable[[Problem, Explanation, int], tuple[Explanation, Shading]]
 
 
 @dataclass(frozen=True)
@@ -139,40 +142,58 @@ def tried_step(errors: list[np.ndarray], block: np.ndarray, at: int, to: int) ->
     return {"from": at, "to": to, "gain": share, "standard_error": error}
 
 
-def judged_errors(
-    problem: Problem,
-    x: Explanation,
-    parts: list[Fold],
-    kept: list[Problem],
-    solve: SolveColor,
-    seed: int,
-) -> tuple[np.ndarray, Explanation]:
-    """Squared errors (n,) of the judged pixels of all folds, each under base colours from `kept`,
-    its other photos; and the first fold's explanation, which begins as `x`.
-    """
-    solved = [solve(of, x) for of in kept]
-    errors = [squared_error(problem, y, fold.judged, seed) for fold, y in zip(parts, solved)]
-    return np.concatenate(errors), solved[0]
+class Jury:
+    """Judges explanations by photos that their base colours are not made from, in every fold."""
+
+    def __init__(self, problem: Problem, parts: list[Fold], shade: Shade, pixels: int, seed: int):
+        """pixels: that paths go through for the base colours of one fold; seed: of the paths of
+        what is judged, the same for all explanations.
+        """
+        self.problem, self.parts, self.shade, self.seed = problem, parts, shade, seed
+        # most pixels make the colours of several folds: what light gives to them is traced once
+        together = np.unique(np.concatenate([fold.kept for fold in parts]))
+        self.kept = with_pixels(problem, together)
+        self.of_fold = [np.searchsorted(together, fold.kept) for fold in parts]
+        self.pixels = round(pixels * len(together) / len(parts[0].kept))
+
+    def errors(self, x: Explanation) -> tuple[np.ndarray, Explanation]:
+        """Squared errors (n,) of the judged pixels of all folds, each under base colours from its
+        other photos; and the first fold's explanation, which begins as `x`.
+        """
+        begin, shading = self.shade(self.kept, x, self.pixels)
+        solved = [self.colored(begin, shading, index) for index in self.of_fold]
+        errors = [
+            squared_error(self.problem, y, fold.judged, self.seed)
+            for fold, y in zip(self.parts, solved)
+        ]
+        return np.concatenate(errors), solved[0]
+
+    def colored(self, begin: Explanation, shading: Shading, index: np.ndarray) -> Explanation:
+        """`begin` with the base colour that the kept pixels `index` show under a shading of all."""
+        some = with_pixels(self.kept, index).observations
+        of_some = Shading(shading.scaled[index], shading.rest[index])
+        return replace(begin, base_color=color_map(some, of_some, begin.base_color, USUAL)[0])
 
 
 def climb(
     problem: Problem,
     x: Explanation,
     parts: list[Fold],
-    solve: SolveColor,
+    shade: Shade,
+    pixels: int,
     rng: np.random.Generator,
 ) -> tuple[Explanation, np.ndarray, dict]:
     """The explanation with every body on its rung; which texels (t, t) keep the roughness map; and
-    the evidence. The base colour is that of the lowest rung and has to be solved anew.
+    the evidence. The base colour is that of the lowest rung and has to be solved anew. pixels: that
+    paths go through for the base colours of a rung.
     """
-    seed = renderer_seed(rng)
     uv = problem.observations.uv[parts[0].kept]
     matt = rungs(x, np.zeros(x.roughness.shape, int), uv)[0].put_on(x)
-    kept = [with_pixels(problem, fold.kept) for fold in parts]  # once: normals are traced for each
-    of_matt, matt = judged_errors(problem, matt, parts, kept, solve, seed)
+    jury = Jury(problem, parts, shade, pixels, renderer_seed(rng))
+    of_matt, matt = jury.errors(matt)
     body = bodies(matt.base_color, uv, rng)
     found = rungs(x, body, uv)
-    errors_of = lambda y: judged_errors(problem, y, parts, kept, solve, seed)[0]
+    errors_of = lambda y: jury.errors(y)[0]
     higher = [errors_of(rung.put_on(matt)) for rung in found[1:]]
     errors = [of_matt, *higher]
 

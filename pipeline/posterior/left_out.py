@@ -26,7 +26,7 @@ BLOCKS = 24  # along the long side of a photo
 FINEST = 4  # pixels along a side of a block, at least
 FEWEST = 10  # blocks, below which a standard error over them says nothing
 FEWEST_PHOTOS = 4
-SOLVED = 200_000  # pixels of the other photos, at most, that a rung's base colour is made from
+SOLVED = 200_000  # pixels of the other photos, about, that a rung's base colour is made from
 JUDGED = 8_000  # pixels of the blocks at most, of all folds together
 PATHS = 16  # through each, for either of two pictures
 LEAST = 1e-9  # error of all pixels together
@@ -53,9 +53,12 @@ def folds(observations: Observations, rng: np.random.Generator) -> list[Fold]:
     if len(photos) < FEWEST_PHOTOS or len(np.unique(block_of(observations))) < FEWEST:
         return []
     count = min(max(1, round(LEFT_OUT * len(photos))), MOST_LEFT_OUT)
-    most = min(-(-MOST_LEFT_OUT // count), len(photos) // count)
-    sets = np.split(rng.permutation(photos)[: most * count], most)
-    return [split(observations, out, JUDGED // len(sets), rng) for out in sets]
+    turns = min(-(-MOST_LEFT_OUT // count), len(photos) // count)
+    sets = np.split(rng.permutation(photos)[: turns * count], turns)
+    # so many of all photos' pixels that each fold has SOLVED, most of them in every fold
+    most = round(SOLVED * len(photos) / (len(photos) - count))
+    enough = np.sort(rng.permutation(len(observations))[:most])
+    return [split(observations, out, enough, JUDGED // len(sets), rng) for out in sets]
 
 
 def block_of(observations: Observations) -> np.ndarray:
@@ -68,13 +71,19 @@ def block_of(observations: Observations) -> np.ndarray:
 
 
 def split(
-    observations: Observations, out: np.ndarray, judged: int, rng: np.random.Generator
+    observations: Observations,
+    out: np.ndarray,
+    enough: np.ndarray,
+    judged: int,
+    rng: np.random.Generator,
 ) -> Fold:
-    """`judged` pixels of the photos `out`, and SOLVED of the others, or as many as there are."""
-    some = lambda pixels, most: np.sort(rng.choice(pixels, min(most, len(pixels)), replace=False))
+    """`judged` pixels of the photos `out`, or as many as there are, and those of `enough` that the
+    others show.
+    """
     is_out = np.isin(observations.view, out)
-    judging = some(np.flatnonzero(is_out), judged)
-    kept = some(np.flatnonzero(~is_out), SOLVED)
+    judging = np.flatnonzero(is_out)
+    judging = np.sort(rng.choice(judging, min(judged, len(judging)), replace=False))
+    kept = enough[~is_out[enough]]
     return Fold(kept, judging, block_of(observations)[judging], len(out))
 
 

@@ -1,4 +1,4 @@
-"""What fit, sample and refine share: observations, the renderer, the data term, random numbers.
+"""What fit, sample and refine share: observations, the renderer, the data term.
 
 Data term, per channel, for radiance L and photo y: ((L - y) / (y + SHADE))^2, a relative error with
 a floor, so that highlights do not outweigh the rest (design note `method.md` section 5). A
@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import torch
 
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.render.observe import Observations
@@ -122,13 +121,6 @@ def without_excess(error: np.ndarray, batch: PixelBatch) -> np.ndarray:
     that is what saturation allows.
     """
     return np.where(batch.clipped & (error > 0), 0, error)
-
-
-def generators(seed: int) -> tuple[np.random.Generator, torch.Generator]:
-    """Random numbers of sample `seed`, its own and no other sample's: numpy's and torch's."""
-    rng = np.random.default_rng([0, seed])  # [7, .], [11, .], [977, .]: operator and refinement
-    noise = torch.Generator().manual_seed(seed)
-    return rng, noise
 
 
 def renderer_seed(rng: np.random.Generator) -> int:

@@ -33,22 +33,19 @@ from pipeline.posterior.base_color import (
 )
 from pipeline.posterior.ladder import climb
 from pipeline.posterior.left_out import folds, with_pixels
-from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.missed_light import with_missed_light
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import Shading, shade
-from pipeline.posterior.split_gibbs.normal_spread import per_axis
 from pipeline.posterior.textures import fill, gather, seen_texels
 from pipeline.render.principled_lobes import blurred_roughness
 from pipeline.render.renderer import Explanation, resize_explanation
+from pipeline.surface.normal_error import per_axis
 
 COARSE = 256  # side of the maps while roughness and metallic are moved
 SCALE_RANGE = (0.5, 2.0)  # within which the light's scale is refined
 DARK = 1e-6  # factor by which a light is as good as out
 SCALE_PIXELS = 8  # pixels for the light's scale, as a multiple of a step's
 DARKEST_START = 0.02  # base colour: a black one has no direction to move in
-# factor by which roughness may move from a draw: the width of what one draw believes of a region
-ROUGHNESS_FACTOR = 1.3
 FEWER = 5  # part of the final solve's traced pixels that do for the first one, on coarse maps
 FEWEST = 10  # the same for the rungs of the ladder
 COARSE_PIXELS = 500_000  # observed pixels, at most, that coarse maps are made from: seven a texel
@@ -146,51 +143,6 @@ def as_the_mesh_shows(sample: Explanation, normal_error: float) -> Explanation:
     return replace(sample, roughness=roughness.astype(np.float32))
 
 
-def stay_near(materials: MaterialOptimizer, drawn: Explanation) -> None:
-    """Bound roughness of `materials` to what lies near the draw's, and metallic to what is drawn:
-    a surface is of one kind or another, and a draw says of which.
-    """
-    low, high = materials.bounds["roughness"]
-    materials.bounds["roughness"] = (
-        np.maximum(drawn.roughness / ROUGHNESS_FACTOR, low),
-        np.minimum(drawn.roughness * ROUGHNESS_FACTOR, high),
-    )
-    materials.bounds["metallic"] = drawn.metallic, drawn.metallic
-
-
-def move_gloss(
-    problem: Problem,
-    explanation: Explanation,
-    settings: Refine,
-    near: bool,
-    moves: np.ndarray,
-    bar: Bar,
-    rng: np.random.Generator,
-) -> Explanation:
-    """All three maps after `settings.steps` steps of Adam through the path tracer, light held;
-    near: roughness stays near what it is, and metallic as it is; moves (t, t): texels whose
-    roughness and metallic are moved at all.
-    """
-    materials = MaterialOptimizer(explanation, settings.learning_rate, problem.roughness_min)
-    if near:
-        stay_near(materials, explanation)
-    for name in ("roughness", "metallic"):
-        now = getattr(explanation, name)
-        low, high = materials.bounds[name]
-        materials.bounds[name] = np.where(moves, low, now), np.where(moves, high, now)
-
-    losses = []
-    for step in range(settings.steps):
-        materials.set_learning_rate(settings.learning_rate * 0.1 ** (step / settings.steps))
-        now = materials.explanation(explanation.light)
-        batch = problem.batch(settings.pixels, settings.spp, rng)
-        gradient = problem.gradient(now, batch, renderer_seed(rng))
-        materials.step(gradient)
-        losses.append(gradient.loss)
-        bar.step(f"loss {np.mean(losses[-20:]):.4f}")
-    return materials.explanation(explanation.light)
-
-
 def some_pixels(problem: Problem, rng: np.random.Generator) -> np.ndarray:
     """Numbers of COARSE_PIXELS random observed pixels, in order; of all where there are fewer."""
     count = len(problem.observations)
@@ -213,10 +165,10 @@ def judged_gloss(
         return explanation, everywhere, {"gloss": {"why": why}}
 
     few = settings.shading_pixels // FEWEST
-    solve = lambda of, x: solve_base_color(of, x, few, rng, USUAL)[0]
-    found, maps, facts = climb(problem, explanation, parts, solve, rng)
+    shade_of = lambda of, x, pixels: shading_by_color(of, x, pixels, rng)
+    found, maps, facts = climb(problem, explanation, parts, shade_of, few, rng)
     if maps.any():  # they are moved from colours of their own, not from those of a matt surface
-        found = solve(problem, found)
+        found = solve_base_color(problem, found, few, rng, USUAL)[0]
     return found, maps, {"gloss": facts}
 
 
@@ -263,6 +215,9 @@ def refine(
     if tested and not moves.any():  # moved pixel by pixel a number would become a map again
         bar.step("gloss of numbers", settings.steps)
     else:
+        # loads torch, which takes as long as a base colour: most refinements do without
+        from pipeline.posterior.move_gloss import move_gloss
+
         coarse = move_gloss(small, coarse, settings, drawn, moves, bar, rng)
 
     gloss = settings.gloss_texture or settings.texture

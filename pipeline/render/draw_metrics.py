@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 NOMINAL = (0.5, 0.8, 0.95)
 
@@ -23,7 +23,7 @@ def coverage(draws: np.ndarray, truth: np.ndarray) -> dict[str, float]:
         if rank >= 1:
             low, high = np.quantile(draws, [(rank - 1) / (n - 1), 1 - (rank - 1) / (n - 1)], axis=0)
         else:
-            deviations = stats.t.ppf(0.5 + 0.5 * nominal, n - 1)
+            deviations = stdtrit(n - 1, 0.5 + 0.5 * nominal)
             reach = deviations * draws.std(0, ddof=1) * np.sqrt(1 + 1 / n)
             low = draws.mean(0) - reach
             high = draws.mean(0) + reach

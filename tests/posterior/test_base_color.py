@@ -18,8 +18,9 @@ from pipeline.posterior.base_color import (
     squared_srgb_error,
 )
 from pipeline.posterior.material_optimizer import MaterialOptimizer
+from pipeline.posterior.move_gloss import ROUGHNESS_FACTOR, stay_near
 from pipeline.posterior.problem import SHADE
-from pipeline.posterior.refine import ROUGHNESS_FACTOR, as_the_mesh_shows, stay_near
+from pipeline.posterior.refine import as_the_mesh_shows
 from pipeline.posterior.shading import Shading
 from pipeline.posterior.textures import bilinear_matrix, gather, splat
 from pipeline.render.renderer import Explanation

@@ -8,10 +8,10 @@ import pytest
 
 from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
-from pipeline.posterior.ladder import CHANCE, bodies, climb, climbed, of_a_body, rungs
+from pipeline.posterior.ladder import CHANCE, Jury, bodies, climb, climbed, of_a_body, rungs
 from pipeline.posterior.left_out import folds, gain, squared_error, surely, with_pixels
 from pipeline.posterior.problem import Problem
-from pipeline.posterior.refine import refine, solve_base_color, units
+from pipeline.posterior.refine import refine, shading_by_color, solve_base_color, units
 from pipeline.posterior.textures import gather
 from tests.seeds import numpy_rng
 
@@ -33,9 +33,13 @@ def solve(problem, explanation):
     return solve_base_color(problem, explanation, 4000, numpy_rng(0))[0]
 
 
+def shaded(problem, explanation, pixels):
+    return shading_by_color(problem, explanation, pixels, numpy_rng(0))
+
+
 def found(problem, explanation, seed=1):
     rng = numpy_rng(seed)
-    return climb(problem, explanation, folds(problem.observations, rng), solve, rng)
+    return climb(problem, explanation, folds(problem.observations, rng), shaded, 4000, rng)
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +151,33 @@ def test_whole_photos_judge_and_make_no_colour(problem):
         assert (kept.rgb == observations.rgb[part.kept]).all() and len(kept) == len(part.kept)
     blocks = [set(part.block) for part in parts]
     assert sum(map(len, blocks)) == len(set.union(*blocks))
+
+
+def jury(problem, parts):
+    return Jury(problem, parts, shaded, 4000, 7)
+
+
+def test_photos_that_judge_leave_no_trace_in_the_colours_that_they_judge(problem, toy):
+    """What light gives is traced once for all folds; what photos show is not shared."""
+    parts = folds(problem.observations, numpy_rng(0))
+    spoilt = copy(problem)
+    spoilt.observations = copy(problem.observations)
+    spoilt.observations.rgb = problem.observations.rgb.copy()
+    out = np.unique(problem.observations.view[parts[0].judged])
+    spoilt.observations.rgb[np.isin(problem.observations.view, out)] = 0.9
+    colours = [jury(of, parts).errors(toy[1])[1].base_color for of in (problem, spoilt)]
+    assert (colours[0] == colours[1]).all()
+    by_itself = [jury(of, parts[1:]).errors(toy[1])[1].base_color for of in (problem, spoilt)]
+    assert np.abs(by_itself[0] - by_itself[1]).max() > 0.1
+
+
+def test_a_jury_says_what_every_fold_would_say_by_itself(problem, toy):
+    parts = folds(problem.observations, numpy_rng(0))
+    together = jury(problem, parts).errors(toy[1])[0]
+    by_itself = np.concatenate([jury(problem, [part]).errors(toy[1])[0] for part in parts])
+    assert len(together) == sum(len(part.judged) for part in parts)
+    # paths for the colours differ, those that judge do not: what is left is the colours' noise
+    assert np.abs(np.mean(together) - np.mean(by_itself)) < 0.1 * np.mean(np.abs(by_itself))
 
 
 def test_many_photos_judge_in_one_fold(problem):

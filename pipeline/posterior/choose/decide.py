@@ -21,9 +21,9 @@ from pipeline.posterior.choose.bounces import path_vertices
 from pipeline.posterior.choose.fit_work import fit_work
 from pipeline.posterior.choose.light_rows import light_rows
 from pipeline.posterior.choose.texture_size import sampling_distance, texture_size
-from pipeline.posterior.split_gibbs.normal_spread import RATIO, per_axis
 from pipeline.render.observe import Observations, Tracer
 from pipeline.surface.facts import SurfaceFacts
+from pipeline.surface.normal_error import UNSURE, per_axis
 
 SEEN = 1500  # observed pixels whose points stand for what the photos show
 
@@ -90,7 +90,7 @@ def decide_bounces(evidence: Evidence, scene: Scene, rng: np.random.Generator) -
 
 def decide_light(evidence: Evidence, scene: Scene, rng: np.random.Generator) -> Decision:
     """sample.light by the mesh's normal error, one step of its uncertainty below the estimate."""
-    spread = per_axis(SurfaceFacts.load(evidence.surface).normal_error) / RATIO
+    spread = per_axis(SurfaceFacts.load(evidence.surface).normal_error) / UNSURE
     rows, facts = light_rows(spread, scene.sample.light)
     return {"sample": {"light": rows}}, facts
 

@@ -1,8 +1,9 @@
-"""Work of the point estimate: looks at every texel, at no more texels than photos can fill.
+"""Work of the point estimate: looks at everything a photo's pixel shows, and at nothing finer.
 
 Samplers take from it the base colours of regions and the light's level. Texels finer than a photo's
-pixels add nothing to either, nor do steps beyond those after which every texel has been looked at
-LOOKS times (docs/experiments.md has what more and fewer bring).
+pixels add nothing to either, nor do steps beyond those after which everything as large as such a
+pixel has been looked at LOOKS times (docs/experiments.md has what more and fewer bring). The
+texture's side is a power of two and may be more than that.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 from pipeline.base.config import Fit
 from pipeline.posterior.choose.texture_size import texture_size
 
-LOOKS = 40  # at a texel; the preset `standard` has 38 where photos fill its texture
+LOOKS = 30  # at a texel as large as a pixel: draws are worse from 15 on, and no better from 60
 LEAST_STEPS = 120  # as in the preset `draft`: the light needs them, however few texels there are
 LEAST_PIXELS = 1024  # a step: with fewer the light's slope is noise
 
@@ -22,10 +23,11 @@ def fit_work(distance: np.ndarray, settings: Fit) -> tuple[dict, dict]:
     distance (k,): ground sampling distances on the atlas, as `texture_size` takes them.
     """
     side, facts = texture_size(distance, settings.texture)
-    looks = LOOKS * side**2
+    needed = facts["texels_for_one_each_pixel"]
+    looks = round(LOOKS * min(side, needed) ** 2)
     steps = min(settings.steps, max(LEAST_STEPS, -(-looks // settings.pixels)))
     pixels = min(settings.pixels, max(LEAST_PIXELS, -(-looks // steps)))
     return {"texture": side, "steps": steps, "pixels": pixels}, {
-        "texels_for_one_each_pixel": facts["texels_for_one_each_pixel"],
+        "texels_for_one_each_pixel": needed,
         "looks_at_a_texel": steps * pixels / side**2,
     }

@@ -31,13 +31,8 @@ from pipeline.posterior.dpi.light_of_code import (
     slope_in_code,
 )
 from pipeline.posterior.material_optimizer import MaterialOptimizer
-from pipeline.posterior.problem import (
-    PixelBatch,
-    Problem,
-    generators,
-    renderer_seed,
-    without_excess,
-)
+from pipeline.posterior.problem import PixelBatch, Problem, renderer_seed, without_excess
+from pipeline.posterior.random_numbers import generators
 from pipeline.prior.protocol import Prior
 from pipeline.prior.schedule import T
 from pipeline.prior.value_code import scale_of

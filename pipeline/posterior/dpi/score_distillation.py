@@ -16,7 +16,8 @@ from pipeline.posterior.dpi.light_of_code import (
     slope_in_code,
 )
 from pipeline.posterior.material_optimizer import MaterialOptimizer
-from pipeline.posterior.problem import Problem, generators, renderer_seed
+from pipeline.posterior.problem import Problem, renderer_seed
+from pipeline.posterior.random_numbers import generators
 from pipeline.prior.protocol import Prior
 from pipeline.prior.schedule import sigma
 from pipeline.prior.value_code import scale_of

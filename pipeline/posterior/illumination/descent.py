@@ -22,7 +22,8 @@ from pipeline.posterior.illumination.harmonics import HarmonicLight
 from pipeline.posterior.illumination.penalties import PENALTIES, Penalty
 from pipeline.posterior.illumination.split_sum import SplitSum
 from pipeline.posterior.material_optimizer import MaterialOptimizer
-from pipeline.posterior.problem import Problem, generators, renderer_seed
+from pipeline.posterior.problem import Problem, renderer_seed
+from pipeline.posterior.random_numbers import generators
 from pipeline.prior.protocol import Prior
 from pipeline.prior.value_code import scale_of
 from pipeline.render.envmap import mean_radiance, resample_area

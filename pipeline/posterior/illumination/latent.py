@@ -15,7 +15,8 @@ import torch
 from pipeline.base.config import Sample
 from pipeline.posterior.illumination.descent import Descent, begun, data_term, descend
 from pipeline.posterior.material_optimizer import BETAS
-from pipeline.posterior.problem import Problem, generators, renderer_seed
+from pipeline.posterior.problem import Problem, renderer_seed
+from pipeline.posterior.random_numbers import generators
 from pipeline.prior.generators import LightGenerator, load_generator
 from pipeline.prior.protocol import Prior
 from pipeline.prior.value_code import scale_of

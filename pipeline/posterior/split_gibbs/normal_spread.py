@@ -25,18 +25,12 @@ from pipeline.posterior.split_gibbs.lobes import NO_SPREAD, mix
 from pipeline.posterior.split_gibbs.material_prior import log_alone
 from pipeline.posterior.split_gibbs.row_model import RowModel
 from pipeline.posterior.split_gibbs.state import RegionMaterials
+from pipeline.surface.normal_error import UNSURE
 
 # from one spread to the next, and how many lie either side of the mesh's
-RATIO, EITHER_SIDE = 1.5, 3
+RATIO, EITHER_SIDE = UNSURE, 3
 # widths in such steps: a point's about its region's, a region's about the mesh's
 POINT_WIDTH, REGION_WIDTH = 1.0, 1.0
-# median length of two deviates of deviation 1
-MEDIAN_LENGTH = np.sqrt(2 * np.log(2))
-
-
-def per_axis(normal_error: float) -> float:
-    """Deviation of normals per axis from the median angle of their errors, radians both."""
-    return normal_error / MEDIAN_LENGTH
 
 
 def spreads_about(error: float) -> np.ndarray:

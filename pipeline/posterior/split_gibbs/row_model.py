@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.posterior.seen_light import SeenLight
@@ -226,9 +226,9 @@ class RowModel:
         mean, variance = self.colors(*sums, materials)
         deviation = np.sqrt(variance)
         ceiling = self.data.ceiling
-        low, high = (stats.norm.cdf((edge - mean) / deviation) for edge in (0.0, ceiling))
+        low, high = (special.ndtr((edge - mean) / deviation) for edge in (0.0, ceiling))
         drawn = np.clip(low + rng.random(low.shape) * (high - low), 1e-9, 1 - 1e-9)
-        return np.clip(mean + deviation * stats.norm.ppf(drawn), 0.0, ceiling)
+        return np.clip(mean + deviation * special.ndtri(drawn), 0.0, ceiling)
 
     def misfit(
         self, U: np.ndarray, W: np.ndarray, colors: np.ndarray

@@ -16,12 +16,13 @@ import torch
 from scipy.spatial import cKDTree
 
 from pipeline.base.config import Sample
-from pipeline.posterior.problem import ALBEDO_MAX, Problem, generators
+from pipeline.posterior.problem import ALBEDO_MAX, Problem
+from pipeline.posterior.random_numbers import generators
 from pipeline.posterior.split_gibbs.coherence import Neighbours
 from pipeline.posterior.split_gibbs.light_codes import COMPONENTS, Decoder, Modes, ModeUnknowns
 from pipeline.posterior.split_gibbs.likelihood import Mixer
 from pipeline.posterior.split_gibbs.lobes import LobeTable
-from pipeline.posterior.split_gibbs.normal_spread import per_axis, spreads_about
+from pipeline.posterior.split_gibbs.normal_spread import spreads_about
 from pipeline.posterior.split_gibbs.regions import features, group, texel_regions
 from pipeline.posterior.split_gibbs.row_model import RowData, contrast
 from pipeline.posterior.split_gibbs.state import Noise, Randomness, RegionMaterials, State
@@ -33,6 +34,7 @@ from pipeline.prior.value_code import scale_of
 from pipeline.render.renderer import Explanation
 from pipeline.render.rows import Rows, choose_rows
 from pipeline.render.transport import Transport
+from pipeline.surface.normal_error import per_axis
 
 # pieces of surface that err together; shape of their gamma weights: half the variance of a full
 # bootstrap, for the draws' own spread adds to it

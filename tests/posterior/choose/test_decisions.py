@@ -93,8 +93,14 @@ def test_the_fit_looks_at_every_texel_often_enough_and_not_more():
     work, facts = fit_work(of_side(16), configured)
     assert work == {"texture": 16, "steps": LEAST_STEPS, "pixels": LEAST_PIXELS}
     assert facts["looks_at_a_texel"] > LOOKS
-    whole = {"texture": 256, "steps": 300, "pixels": 8192}
-    assert fit_work(of_side(3000), configured)[0] == whole
+    fine = {"texture": 256, "steps": LOOKS * 8, "pixels": 8192}
+    assert fit_work(of_side(3000), configured)[0] == fine
+    short = configured.model_copy(update={"steps": 200})
+    assert fit_work(of_side(3000), short)[0] == fine | {"steps": 200}
+    # 190 pixels need a texture of 256 texels, but no more looks than 190 texels
+    work, _ = fit_work(of_side(190), configured)
+    assert work["texture"] == 256
+    assert work["steps"] * work["pixels"] == pytest.approx(LOOKS * 190**2, rel=0.01)
     few = configured.model_copy(update={"pixels": 100, "steps": 20})
     assert fit_work(of_side(16), few)[0] == {"texture": 16, "steps": 20, "pixels": 100}
 

@@ -11,11 +11,11 @@ from pipeline.posterior.split_gibbs.material_prior import log_roughness
 from pipeline.posterior.split_gibbs.normal_spread import (
     draw_normal_spread,
     log_spreads,
-    per_axis,
     spreads_about,
 )
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 from pipeline.render.principled_lobes import blurred_roughness
+from pipeline.surface.normal_error import per_axis
 from tests.render.test_transport import scene, transport  # noqa: F401  (fixtures)
 from tests.seeds import numpy_rng
 
