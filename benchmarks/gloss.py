@@ -31,7 +31,7 @@ from PIL import Image
 
 from benchmarks.make_scene import Options, check_asset, make_scene
 from benchmarks.samplers import judge
-from benchmarks.scenes import snakemake
+from benchmarks.scenes import AS_CONFIGURED, snakemake
 from pipeline.base.config import parse_scene
 from pipeline.base.errors import run_stage
 from pipeline.base.files import write_json
@@ -96,7 +96,7 @@ def prepare(shape: str, name: str, light: str, args: argparse.Namespace) -> Path
         make_scene(asset, args.lights / f"{light}.exr", [other], OPTIONS, folder)
 
     targets = [f"work/{folder.name}/{s}/{s}.json" for s in ("fit", "mesh")]
-    snakemake(folder, targets, [f"preset={args.preset}"])
+    snakemake(folder, targets, [f"preset={args.preset}", AS_CONFIGURED])
     return folder
 
 

@@ -15,7 +15,7 @@ import argparse
 from pathlib import Path
 
 from benchmarks.make_scene import Options, make_scene
-from benchmarks.scenes import snakemake
+from benchmarks.scenes import AS_CONFIGURED, snakemake
 from pipeline.base.errors import run_stage
 
 PAIRS = {
@@ -49,7 +49,7 @@ def main() -> None:
             source = args.lights / f"{light}.exr"
             make_scene(args.assets / asset, source, [other], OPTIONS, folder)
         targets = [f"work/{folder.name}/fit/fit.json", f"work/{folder.name}/mesh/mesh.json"]
-        snakemake(folder, targets, [f"preset={args.preset}"])
+        snakemake(folder, targets, [f"preset={args.preset}", AS_CONFIGURED])
         print(f"--scene {folder.name} {folder}", flush=True)
 
 

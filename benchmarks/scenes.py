@@ -28,6 +28,10 @@ def machine() -> str:
     return ", ".join([platform.machine(), f"{os.cpu_count()} cores", *processor()])
 
 
+# for a fit that several methods share: as much work as the preset says, whatever the scene needs
+AS_CONFIGURED = "choose={enabled: false}"
+
+
 def processor() -> list[str]:
     """The processor's model in a list, which is empty where the system does not name it."""
     facts = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()

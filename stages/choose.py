@@ -1,5 +1,5 @@
 """Choose: how much model the scene needs, decided from its photos and its surface. With
-`choose: {enabled: true}`; else everything stays as configured.
+`choose: {enabled: false}` everything stays as configured.
 """
 
 from pipeline.base.files import report_metrics, stage_folder

@@ -23,7 +23,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks.scenes import ROOT, snakemake
+from benchmarks.scenes import AS_CONFIGURED, ROOT, snakemake
 from benchmarks.study.methods import METHODS, methods_named
 from benchmarks.study.store import ROWS, row_file, suite_folder, suite_rows
 from benchmarks.study.tables import printed
@@ -38,7 +38,7 @@ def prepare(folder: Path) -> None:
     work = ROOT / "work" / folder.name
     if not (work / "fit" / "fit.json").exists():
         targets = [f"work/{folder.name}/{s}/{s}.json" for s in ("fit", "mesh")]
-        snakemake(folder, targets, ["preset=draft"])
+        snakemake(folder, targets, ["preset=draft", AS_CONFIGURED])
 
 
 def run(folder: Path, method: str, samples: int, rows: Path, draws: Path, about: dict) -> bool:

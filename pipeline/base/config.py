@@ -190,7 +190,7 @@ class Choose(Section):
     it asks for `auto` here.
     """
 
-    enabled: bool = Field(False, description="decide at all; else every setting is as configured")
+    enabled: bool = Field(True, description="decide at all; else every setting is as configured")
     texture: Literal["auto", "keep"] = Field(
         "auto", description="sides of the textures, by what a photo's pixel covers"
     )

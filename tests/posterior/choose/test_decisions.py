@@ -155,8 +155,11 @@ def test_auto_overrules_a_setting_of_ones_own():
 
 
 def test_nothing_is_chosen_where_the_stage_is_off(tmp_path):
-    """The default; every decision says so, and every decision can be kept or asked for by name."""
-    scene = parse_scene({"photos": "x"}, "c.yaml")
+    """As in `reference`; every decision says so, and every one can be kept or asked for by
+    name.
+    """
+    assert parse_scene({"photos": "x"}, "c.yaml").choose.enabled
+    scene = parse_scene({"photos": "x", "preset": "reference"}, "c.yaml")
     assert not scene.choose.enabled and set(nothing_chosen()["decisions"]) == set(DECISIONS)
     assert set(DECISIONS) == set(scene.choose.model_dump()) - {"enabled"}
     Chosen(nothing_chosen()["settings"]).save(tmp_path)
