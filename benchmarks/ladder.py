@@ -27,7 +27,7 @@ from pipeline.base.progress import Bar
 from pipeline.base.runtime import set_threads
 from pipeline.posterior.draw_facts import DrawFacts
 from pipeline.posterior.load import load_problem
-from pipeline.posterior.refine import COARSE, refine, units
+from pipeline.posterior.refine import refine, units
 from pipeline.posterior.textures import gather
 from pipeline.render.metrics import held_out_photos, score_held_out
 from pipeline.render.renderer import Explanation, Renderer
@@ -45,14 +45,13 @@ def variant(
     drawn = Explanation.load(sample)
     settings = scene.refine.model_copy(update={"gloss": gloss})
     folders = [work / stage for stage in ("observe", "poses", "atlas", "mesh")]
-    load = lambda side: load_problem(*folders, scene, side, len(drawn.light))
-    problem, small = load(settings.texture), load(min(COARSE, settings.texture))
+    problem = load_problem(*folders, scene, settings.texture, len(drawn.light))
     held_out = held_out_photos(problem, work / "poses", work / "mesh", scene.observe.erode)
 
     start = time.process_time()
     with Bar(f"{work.name} {gloss}", units(settings)) as bar:
         scale_drawn = DrawFacts.load(sample).scale_drawn
-        found, facts = refine(problem, small, drawn, settings, int(sample.name), bar, scale_drawn)
+        found, facts = refine(problem, drawn, settings, int(sample.name), bar, scale_drawn)
     row = {"cpu_seconds": time.process_time() - start}
 
     row |= score_held_out(problem, found, held_out, settings.score_pixels, settings.score_spp)

@@ -44,7 +44,7 @@ from pipeline.base.progress import Bar
 from pipeline.base.runtime import set_threads
 from pipeline.photos.radiance import Radiance
 from pipeline.posterior.load import load_problem
-from pipeline.posterior.refine import COARSE, refine, units
+from pipeline.posterior.refine import refine, units
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.posterior.split_gibbs.regions import group
 from pipeline.posterior.textures import gather
@@ -196,7 +196,6 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
     )
     settings = scene.refine.model_copy(update={"steps": 0})
     full = load(settings.texture)
-    small = load(min(COARSE, settings.texture))
     held = held_out_photos(full, folders["poses"], folders["mesh"], scene.observe.erode)
     mean_psnr = lambda pictures: float(
         np.mean([psnr(a, photo, mask, b) for (a, b), (_, photo, mask) in zip(pictures, held)])
@@ -222,7 +221,7 @@ def judge(method: str, scene, folders: dict, folder: Path, samples: int) -> dict
         set_threads(2)
         with Bar(f"refine {seed}", units(settings)) as bar:
             scale_drawn = SAMPLERS[method].scale_drawn
-            final, _ = refine(full, small, drawn, settings, seed, bar, scale_drawn)
+            final, _ = refine(full, drawn, settings, seed, bar, scale_drawn)
         pictures.append(
             [render_twice(full.renderer, final, view, mask, HELD_OUT_SPP) for view, _, mask in held]
         )

@@ -43,7 +43,7 @@ from pipeline.geometry.surface import Surface
 from pipeline.posterior.fit import fit
 from pipeline.posterior.load import load_problem
 from pipeline.posterior.problem import Problem
-from pipeline.posterior.refine import COARSE, refine, units
+from pipeline.posterior.refine import refine, units
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.prior.load import load_prior
 from pipeline.render.envmap import direction_from_uv, mean_radiance
@@ -232,10 +232,9 @@ class Variant:
             problem = self.problem(scene.sample.texture, self.prior.height)
             sampler = SAMPLERS[scene.sample.method]
             drawn, _ = sampler(problem, self.prior, self.start, scene.sample, seed)
-            small = self.problem(min(COARSE, settings.texture), self.prior.height)
             with Bar(f"refine {seed}", units(settings)) as bar:
                 held = sampler.scale_drawn
-                final, _ = refine(self.full, small, drawn, settings, seed, bar, held)
+                final, _ = refine(self.full, drawn, settings, seed, bar, held)
             final.save(folder)
         return Explanation.load(folder)
 

@@ -13,7 +13,7 @@ def work(s: Stage) -> None:
     from pipeline.posterior.choose.chosen import chosen_scene
     from pipeline.posterior.draw_facts import DrawFacts
     from pipeline.posterior.load import load_problem
-    from pipeline.posterior.refine import COARSE, refine, units
+    from pipeline.posterior.refine import refine, units
     from pipeline.render.metrics import held_out_photos, score_held_out
     from pipeline.render.renderer import Explanation
 
@@ -23,14 +23,13 @@ def work(s: Stage) -> None:
         sample = Explanation.load(s.args.sample)
         rows = sample.light.shape[0]
         problem = load_problem(*s.problem_folders, scene, settings.texture, rows)
-        small = load_problem(*s.problem_folders, scene, min(COARSE, settings.texture), rows)
         held_out = held_out_photos(problem, s.args.poses, s.args.mesh, scene.observe.erode)
         drawn = DrawFacts.load(s.args.sample).scale_drawn
 
         index = s.args.index
         total = units(settings) + SCORE_UNITS * len(held_out)
         with Bar(f"refine {index}", total) as bar:
-            refined, facts = refine(problem, small, sample, settings, index, bar, drawn)
+            refined, facts = refine(problem, sample, settings, index, bar, drawn)
             scores = score_held_out(
                 problem,
                 refined,

@@ -26,7 +26,7 @@ from pipeline.base.files import atomic_path, write_json
 from pipeline.base.progress import Bar
 from pipeline.base.runtime import rays_made, set_threads
 from pipeline.posterior.load import load_problem
-from pipeline.posterior.refine import COARSE, refine, units
+from pipeline.posterior.refine import refine, units
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.prior.load import load_prior
 from pipeline.render.envmap import resample_area, sh_coefficients
@@ -78,9 +78,9 @@ def draw(method: str, scene, folders: dict[str, Path], seed: int) -> tuple[Expla
         drawn, _ = sampler(problem, prior, start, scene.sample, seed)
 
     settings = scene.refine
-    full, small = load(settings.texture), load(min(COARSE, settings.texture))
+    full = load(settings.texture)
     with Clock() as refining, Bar(f"refine {seed}", units(settings)) as bar:
-        final, _ = refine(full, small, drawn, settings, seed, bar, sampler.scale_drawn)
+        final, _ = refine(full, drawn, settings, seed, bar, sampler.scale_drawn)
     return final, {"sample": sampling.cost, "refine": refining.cost}
 
 

@@ -36,7 +36,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.posterior.base_color import USUAL, color_map
-from pipeline.posterior.left_out import Fold, gain, squared_error, surely, with_pixels
+from pipeline.posterior.left_out import Fold, gain, squared_error, surely
 from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.shading import Shading
 from pipeline.posterior.split_gibbs.regions import group, texel_regions
@@ -152,7 +152,7 @@ class Jury:
         self.problem, self.parts, self.shade, self.seed = problem, parts, shade, seed
         # most pixels make the colours of several folds: what light gives to them is traced once
         together = np.unique(np.concatenate([fold.kept for fold in parts]))
-        self.kept = with_pixels(problem, together)
+        self.kept = problem.with_pixels(together)
         self.of_fold = [np.searchsorted(together, fold.kept) for fold in parts]
         self.pixels = round(pixels * len(together) / len(parts[0].kept))
 
@@ -170,7 +170,7 @@ class Jury:
 
     def colored(self, begin: Explanation, shading: Shading, index: np.ndarray) -> Explanation:
         """`begin` with the base colour that the kept pixels `index` show under a shading of all."""
-        some = with_pixels(self.kept, index).observations
+        some = self.kept.with_pixels(index).observations
         of_some = Shading(shading.scaled[index], shading.rest[index])
         return replace(begin, base_color=color_map(some, of_some, begin.base_color, USUAL)[0])
 

@@ -9,7 +9,6 @@ Errors of neighbouring pixels go together, so blocks of pixels count as independ
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,14 +84,6 @@ def split(
     judging = np.sort(rng.choice(judging, min(judged, len(judging)), replace=False))
     kept = enough[~is_out[enough]]
     return Fold(kept, judging, block_of(observations)[judging], len(out))
-
-
-def with_pixels(problem: Problem, index: np.ndarray) -> Problem:
-    """The problem with the observed pixels `index` only; the renderer is shared."""
-    some = copy.copy(problem.observations)
-    for name in ("view", "pixel", "rgb", "clipped", "uv", "cosine"):
-        setattr(some, name, getattr(some, name)[index])
-    return Problem(some, problem.renderer, problem.roughness_min, problem.normal_error)
 
 
 def squared_error(

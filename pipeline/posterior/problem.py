@@ -7,8 +7,8 @@ saturated observation is a lower bound: no penalty for being brighter.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class Problem:
     """Draws batches of pixels and evaluates the data term with its gradient.
 
     roughness_min: least roughness that the light's grid can resolve. normal_error: median error of
-    the mesh's normals in radians.
+    the mesh's normals in radians. normals: `shading_normals`, where they are known.
     """
 
     def __init__(
@@ -50,18 +50,38 @@ class Problem:
         renderer: Renderer,
         roughness_min: float,
         normal_error: float = 0.0,
+        normals: np.ndarray | None = None,
     ):
         self.observations = observations
         self.renderer = renderer
         self.roughness_min = roughness_min
         self.normal_error = normal_error
+        self._normals = normals
 
-    @cached_property
+    @property
     def shading_normals(self) -> np.ndarray:
         """Of all observed pixels (n, 3), in the world's frame, with the normal map."""
-        rays = self.observations.centre_rays(np.arange(len(self.observations)))
-        si = self.renderer.scene.ray_intersect(mitsuba_rays(*rays))
-        return shading_frames(si, self.renderer.surface)[:, 2]
+        if self._normals is None:
+            rays = self.observations.centre_rays(np.arange(len(self.observations)))
+            si = self.renderer.scene.ray_intersect(mitsuba_rays(*rays))
+            self._normals = shading_frames(si, self.renderer.surface)[:, 2]
+        return self._normals
+
+    def with_pixels(self, index: np.ndarray) -> Problem:
+        """The problem with the observed pixels `index` only; the renderer is shared."""
+        some = copy.copy(self.observations)
+        for name in ("view", "pixel", "rgb", "clipped", "uv", "cosine"):
+            setattr(some, name, getattr(some, name)[index])
+        normals = self.shading_normals[index]
+        return Problem(some, self.renderer, self.roughness_min, self.normal_error, normals)
+
+    def at_texture(self, side: int) -> Problem:
+        """The problem rendered with maps of another side; the observations are shared."""
+        if side == self.renderer.texture:
+            return self
+        renderer = self.renderer.at_texture(side)
+        normals = self.shading_normals
+        return Problem(self.observations, renderer, self.roughness_min, self.normal_error, normals)
 
     def batch(
         self, pixels: int, spp: int, rng: np.random.Generator, view: int | None = None

@@ -32,7 +32,7 @@ from pipeline.posterior.base_color import (
     shared_between_photos,
 )
 from pipeline.posterior.ladder import climb
-from pipeline.posterior.left_out import folds, with_pixels
+from pipeline.posterior.left_out import folds
 from pipeline.posterior.missed_light import with_missed_light
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import Shading, shade
@@ -168,13 +168,13 @@ def judged_gloss(
     shade_of = lambda of, x, pixels: shading_by_color(of, x, pixels, rng)
     found, maps, facts = climb(problem, explanation, parts, shade_of, few, rng)
     if maps.any():  # they are moved from colours of their own, not from those of a matt surface
-        found = solve_base_color(problem, found, few, rng, USUAL)[0]
+        some = problem.with_pixels(some_pixels(problem, rng))
+        found = solve_base_color(some, found, few, rng, USUAL)[0]
     return found, maps, {"gloss": facts}
 
 
 def refine(
     problem: Problem,
-    small: Problem,
     sample: Explanation,
     settings: Refine,
     seed: int,
@@ -194,11 +194,12 @@ def refine(
     colour is a robust mean over the photos (`base_color.color_map`), and texels that no photo shows
     take the nearest seen one's values.
 
-    problem: renders at full texture size; small: at min(COARSE, full). drawn: the sampler drew the
+    problem: renders with maps of side `settings.texture`. drawn: the sampler drew the
     light's scale, which is then only ever raised, metallic, which stays, and roughness, which stays
     near what the mesh shows of it (`stay_near`). `bar` moves on by `units(settings)`.
     """
     rng = np.random.default_rng([977, seed])
+    small = problem.at_texture(min(COARSE, settings.texture))
     coarse = resize_explanation(sample, small.renderer.texture)
     scale = 1.0
     if drawn:
@@ -207,7 +208,7 @@ def refine(
         scale = light_scale(small, coarse, SCALE_PIXELS * settings.pixels, rng)
     coarse = replace(coarse, light=(sample.light * scale).astype(np.float32))
 
-    some = with_pixels(small, some_pixels(small, rng))
+    some = small.with_pixels(some_pixels(small, rng))
     few = settings.shading_pixels // FEWER
     coarse, first = solve_base_color(some, coarse, few, rng, USUAL, brighter=True)
     bar.step("base colour", COLOR_UNITS)

@@ -184,6 +184,10 @@ class Renderer:
         """The surface's mesh file."""
         return self.surface.mesh
 
+    def at_texture(self, side: int) -> Renderer:
+        """The same with textures of another side."""
+        return Renderer(self.mesh, side, self.light_shape[0], self.max_depth, self.ground)
+
     def set(self, explanation: Explanation, differentiable: bool = False) -> dict:
         """Load an explanation into the scene; returns the tensors, by name, that gradients arrive
         at.

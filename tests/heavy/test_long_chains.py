@@ -196,7 +196,7 @@ def test_a_thousand_steps_of_the_fit_and_of_the_refinement(hostile, losses):
     assert_no_late_rise(losses)
     losses.clear()
     refined = Refine(steps=1000, pixels=400, spp=2, texture=32)
-    run = lambda: refine(problem, problem, start, refined, 0, Bar("refine", units(refined)))[0]
+    run = lambda: refine(problem, start, refined, 0, Bar("refine", units(refined)))[0]
     in_memory(run, "refine")
     assert_no_late_rise(losses)
 

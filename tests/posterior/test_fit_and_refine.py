@@ -109,7 +109,7 @@ def test_refined_sample_predicts_the_held_out_view(problem, start, toy, gloss):
     settings = Refine(steps=20, pixels=800, texture=32, gloss=gloss)
     with Bar("refine", units(settings)) as bar:
         plain = of_one_color(start[0])
-        refined, _ = refine(problem, problem, plain, settings, seeded(0), bar)
+        refined, _ = refine(problem, plain, settings, seeded(0), bar)
     assert bar.done == bar.total
     assert score(refined) > score(of_one_color(refined)) + 2
     assert score(refined) > score(start[0]) - 3
@@ -126,7 +126,7 @@ def test_a_dim_light_is_raised_before_gloss_is_judged_and_after(problem, start, 
     dim = replace(start[0], light=np.float32(0.1) * start[0].light)
     settings = Refine(steps=2, pixels=800, texture=32, gloss=gloss)
     with Bar("refine", units(settings)) as bar:
-        refined, facts = refine(problem, problem, dim, settings, seeded(0), bar, drawn=True)
+        refined, facts = refine(problem, dim, settings, seeded(0), bar, drawn=True)
     assert facts["light_scale"] == pytest.approx(max(BRIGHTER) ** 2)
     assert np.allclose(refined.light, facts["light_scale"] * dim.light, rtol=1e-4)
 

@@ -9,7 +9,7 @@ import pytest
 from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
 from pipeline.posterior.ladder import CHANCE, Jury, bodies, climb, climbed, of_a_body, rungs
-from pipeline.posterior.left_out import folds, gain, squared_error, surely, with_pixels
+from pipeline.posterior.left_out import folds, gain, squared_error, surely
 from pipeline.posterior.problem import Problem
 from pipeline.posterior.refine import refine, shading_by_color, solve_base_color, units
 from pipeline.posterior.textures import gather
@@ -147,7 +147,7 @@ def test_whole_photos_judge_and_make_no_colour(problem):
         assert not judging & set(observations.view[part.kept])
         key = np.c_[observations.view, observations.pixel // 4][part.judged]
         assert len({(*k,) for k in key}) == len(np.unique(part.block))
-        kept = with_pixels(problem, part.kept).observations
+        kept = problem.with_pixels(part.kept).observations
         assert (kept.rgb == observations.rgb[part.kept]).all() and len(kept) == len(part.kept)
     blocks = [set(part.block) for part in parts]
     assert sum(map(len, blocks)) == len(set.union(*blocks))
@@ -189,11 +189,11 @@ def test_many_photos_judge_in_one_fold(problem):
 
 
 def test_three_photos_judge_nothing(problem, start):
-    few = with_pixels(problem, np.flatnonzero(problem.observations.view < 3))
+    few = problem.with_pixels(np.flatnonzero(problem.observations.view < 3))
     assert folds(few.observations, numpy_rng(0)) == []
     settings = Refine(steps=0, pixels=100, texture=32, shading_pixels=1000, gloss="tested")
     with Bar("refine", units(settings)) as bar:
-        _, facts = refine(few, few, start[0], settings, 0, bar)
+        _, facts = refine(few, start[0], settings, 0, bar)
     assert facts["gloss"] == {"why": "too few photos to judge them by"}
 
 
@@ -262,7 +262,7 @@ def test_error_is_that_of_a_score_and_free_of_the_paths_noise(problem, toy):
 def test_refinement_says_what_it_chose(problem, start):
     settings = Refine(steps=2, pixels=300, texture=32, shading_pixels=8000, gloss="tested")
     with Bar("refine", units(settings)) as bar:
-        refined, facts = refine(problem, problem, start[0], settings, 0, bar)
+        refined, facts = refine(problem, start[0], settings, 0, bar)
     chosen = {body["chosen"] for body in facts["gloss"]["bodies"]}
     assert chosen <= set(facts["gloss"]["rungs"])
     if not chosen & {"gloss map", "as drawn", "one metal"}:
