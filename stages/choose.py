@@ -7,11 +7,13 @@ from pipeline.run.stage import PROBLEM_FOLDERS, Stage, stage
 
 
 def work(s: Stage) -> None:
+    from pipeline.posterior.check_settings import check_settings
     from pipeline.posterior.choose.chosen import Chosen, nothing_chosen
 
+    check_settings(s.scene.sample)  # rows of the light are chosen from those that are possible
     with stage_folder(s.out, "choose.json") as out:
         if s.scene.choose.enabled:
-            # loaded here, for it takes seconds that every scene without decisions would pay
+            # loaded here, for scenes without decisions need none of it
             from pipeline.posterior.choose.decide import Evidence, choose
 
             found = choose(Evidence(*s.problem_folders), s.scene)

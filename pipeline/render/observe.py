@@ -239,11 +239,14 @@ def exposures(
 
 class Observations:
     """The table in memory, with jittered camera rays for any subset. stops: log2 gains (3,) that
-    are divided out, by the view's name.
+    are divided out, by the view's name. Raises InputError where there is no table.
     """
 
     def __init__(self, folder: Path, cameras: Path):
-        data = np.load(Path(folder) / "observations.npz")
+        table = Path(folder) / "observations.npz"
+        if not table.exists():
+            raise InputError("there are no observations", table, "run the observe stage first")
+        data = np.load(table)
         self.view = data["view"].astype(int)
         self.pixel = data["pixel"]
         self.rgb = data["rgb"]

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pipeline.posterior.problem import Problem
 from pipeline.posterior.shading import regress, shade, split_picture
 from pipeline.posterior.textures import gather
 from tests.seeds import numpy_rng
@@ -44,3 +45,19 @@ def test_interpolated_shading_is_that_of_many_paths(problem, start):
     error = lambda split: np.sqrt(((picture(split) / picture(many) - 1) ** 2).mean())
     assert error(found) < 0.15 and error(found) < 0.5 * error(few)
     assert abs(picture(found).mean() / picture(many).mean() - 1) < 0.03
+
+
+def test_normals_of_a_part_are_those_of_the_whole(problem):
+    """Traced once, for pixels and for maps of any side."""
+    index = np.arange(0, len(problem.observations), 7)
+    part = problem.with_pixels(index)
+    alone = Problem(part.observations, problem.renderer, problem.roughness_min)
+    assert len(part.observations) == len(index)
+    assert (part.observations.uv == problem.observations.uv[index]).all()
+    assert np.allclose(part.shading_normals, alone.shading_normals, atol=1e-6)
+
+    coarse = problem.at_texture(16)
+    assert coarse.renderer.texture == 16 and problem.renderer.texture != 16
+    assert coarse.observations is problem.observations
+    assert coarse.shading_normals is problem.shading_normals
+    assert problem.at_texture(problem.renderer.texture) is problem

@@ -25,6 +25,11 @@ def test_missing_facts_are_named(tmp_path):
         SurfaceFacts.load(tmp_path)
 
 
+def test_a_problem_without_observations_says_which_stage_makes_them(tmp_path, ball):
+    with pytest.raises(InputError, match="there are no observations"):
+        load.load_problem(tmp_path, tmp_path, ball, tmp_path, Scene(photos="nowhere"), 16, 16)
+
+
 def test_a_problem_takes_the_normals_error_from_the_meshs_folder(tmp_path, ball, monkeypatch):
     SurfaceFacts(normal_error=0.0625).save(tmp_path)
     seen = SimpleNamespace(surroundings=Surroundings())
