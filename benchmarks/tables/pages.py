@@ -35,9 +35,9 @@ def stability_table(make: Callable[[dict], str]) -> Callable[[], str]:
     return lambda: make(results("stability")["data"]) + source("stability")
 
 
-def parsimony(make: Callable[[list[dict]], str]) -> Callable[[], str]:
+def parsimony(make: Callable[[list[dict]], str], file: str) -> Callable[[], str]:
     """A table of what the choose stage saves and costs, from its committed rows."""
-    return lambda: make(rows_of("parsimony")) + source("parsimony")
+    return lambda: make(rows_of(file)) + source(file)
 
 
 def of_surfaces() -> dict[str, Callable[[], str]]:
@@ -52,8 +52,10 @@ def of_surfaces() -> dict[str, Callable[[], str]]:
 def of_assets() -> dict[str, Callable[[], str]]:
     """Tables of what assets are worth, what they cost, and how far they may be relied on."""
     return {
-        "parsimony": parsimony(parsimony_tables.summary),
-        "parsimony_scenes": parsimony(parsimony_tables.by_scene),
+        "parsimony": parsimony(parsimony_tables.summary, "parsimony"),
+        "parsimony_scenes": parsimony(parsimony_tables.by_scene, "parsimony"),
+        "parsimony_photos": parsimony(parsimony_tables.summary, "parsimony_photos"),
+        "parsimony_photos_sets": parsimony(parsimony_tables.by_scene, "parsimony_photos"),
         "ladder": lambda: ladder_tables.photos(rows_of("ladder")) + source("ladder"),
         "ladder_truth": lambda: (
             ladder_tables.truths(rows_of("ladder_truth")) + source("ladder_truth")
