@@ -8,7 +8,13 @@ from pipeline.geometry.mesh_io import Mesh, load_mesh
 from pipeline.posterior.choose.bounces import ALBEDO, path_vertices
 from pipeline.posterior.choose.chosen import Chosen, chosen_scene, nothing_chosen
 from pipeline.posterior.choose.decide import DECISIONS, choose
-from pipeline.posterior.choose.fit_work import LEAST_PIXELS, LEAST_STEPS, LOOKS, fit_work
+from pipeline.posterior.choose.fit_work import (
+    FINEST,
+    LEAST_PIXELS,
+    LEAST_STEPS,
+    LOOKS,
+    fit_work,
+)
 from pipeline.posterior.choose.light_rows import light_rows
 from pipeline.posterior.choose.texture_size import sampling_distance, texture_size
 from pipeline.render.observe import Tracer
@@ -93,13 +99,13 @@ def test_the_fit_looks_at_every_texel_often_enough_and_not_more():
     work, facts = fit_work(of_side(16), configured)
     assert work == {"texture": 16, "steps": LEAST_STEPS, "pixels": LEAST_PIXELS}
     assert facts["looks_at_a_texel"] > LOOKS
-    fine = {"texture": 256, "steps": LOOKS * 8, "pixels": 8192}
-    assert fit_work(of_side(3000), configured)[0] == fine
-    short = configured.model_copy(update={"steps": 200})
-    assert fit_work(of_side(3000), short)[0] == fine | {"steps": 200}
     # pixels may be narrower than texels by a factor of two, and never wider
     assert fit_work(of_side(127), configured)[0]["texture"] == 64
-    assert fit_work(of_side(250), configured)[0] == fit_work(of_side(128), configured)[0]
+    finest = fit_work(of_side(FINEST), configured)[0]
+    assert finest["texture"] == FINEST
+    assert fit_work(of_side(250), configured)[0] == fit_work(of_side(3000), configured)[0] == finest
+    slow = configured.model_copy(update={"pixels": 1500})
+    assert fit_work(of_side(3000), slow)[0]["steps"] == 300
     few = configured.model_copy(update={"pixels": 100, "steps": 20})
     assert fit_work(of_side(16), few)[0] == {"texture": 16, "steps": 20, "pixels": 100}
 
