@@ -5,9 +5,11 @@ python -m benchmarks.unlit --work work/garden work/banana [--out rows.json]
 A relightable asset is worth its name only if it predicts photos better than the plain textured mesh
 does. This command bakes that texture on the very mesh and atlas of a finished scene, from the
 photos that fit and sample may read, and scores it on the held-out views in the very pixels, at the
-size and by the error formula (`pipeline.render.metrics`) of the score in refine.json. Both stand
-side by side in the row, with what else tells a good asset from a bad one: charts and utilisation of
-the atlas, seconds of the stages, and the medians of metallic and roughness of every sample.
+size and by the error formula (`pipeline.render.metrics`) of the score in refine.json. It has the
+texels that the scene is configured with, though the asset's maps may be smaller by the choice of
+the stage `choose`. Both stand side by side in the row, with what else tells a good asset from a bad
+one: charts and utilisation of the atlas, seconds of the stages, and the medians of metallic and
+roughness of every sample.
 
 Each texel is the robust mean, in sRGB, of the photos' pixels whose ray meets the mesh there. A
 photo that shows the texel larger counts for more because it has more pixels there, and a pixel
@@ -169,6 +171,16 @@ def lit_samples(work: Path) -> list[Path]:
     return sorted(found, key=lambda folder: int(folder.name))
 
 
+def configured_side(work: Path, sample: Path) -> int:
+    """Texels a side of the base colour that the scene is configured with, whatever the stage choose
+    has made of it; where it decided nothing, those of `sample`.
+    """
+    decided = read_json(work / "choose" / "choose.json")["decisions"]["texture"]
+    if "configured" in decided:
+        return decided["configured"]["refine"]["texture"]
+    return len(read_exr(sample / "base_color.exr"))
+
+
 def lit_sample(folder: Path, seen: np.ndarray) -> dict:
     """A refined sample's score as its stage wrote it, and medians of its maps over the texels
     `seen` (t, t). A stage that scores random pixels of the views says the score's standard error.
@@ -211,7 +223,7 @@ def row(work: Path, erode: float) -> dict:
     Raises InputError where a stage is missing, or where the lit score is of other views.
     """
     samples = lit_samples(work)
-    size = read_exr(samples[0] / "metallic.exr").shape[0]
+    size = configured_side(work, samples[0])
     scored = read_json(samples[0] / "refine.json")["held_out_pixels"]
     unlit, seen = score_unlit(work, size, erode, scored)
     if not unlit["robust"]:
@@ -237,6 +249,7 @@ def row(work: Path, erode: float) -> dict:
         "unlit_psnr_plain_mean": mean(list(unlit["plain"].values())),
         "unlit_views": unlit["robust"],
         "samples": lit,
+        "texture": {"unlit": size, "lit": len(read_exr(samples[0] / "base_color.exr"))},
         "charts": atlas["charts"],
         "utilisation": atlas["utilisation"],
         "packed_by": atlas.get("packed_by"),  # none by versions with one packer

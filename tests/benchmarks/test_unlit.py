@@ -63,7 +63,7 @@ def work(tmp_path, ball, ring):
     everywhere.
     """
     folder = tmp_path / "ball"
-    for name in ("poses/images", "mesh/masks", "observe", "refine/0", "benchmarks"):
+    for name in ("poses/images", "mesh/masks", "observe", "choose", "refine/0", "benchmarks"):
         (folder / name).mkdir(parents=True)
     shutil.copytree(ball, folder / "atlas")
     views = ring(8, SIZE)
@@ -85,6 +85,9 @@ def work(tmp_path, ball, ring):
     file = folder / "observe" / "observations.npz"
     np.savez(file, **columns, views=names[1:], held_out=names[:1])
 
+    write_json(folder / "choose" / "choose.json", {"decisions": {"texture": {"why": "off"}}})
+    color = np.full((TEXELS, TEXELS, 3), 0.5, np.float32)
+    write_exr(folder / "refine" / "0" / "base_color.exr", color)
     write_exr(folder / "refine" / "0" / "metallic.exr", np.full((TEXELS, TEXELS), 0.9, np.float32))
     write_exr(folder / "refine" / "0" / "roughness.exr", np.full((TEXELS, TEXELS), 0.3, np.float32))
     scores = {"held_out_psnr": 20.0, "held_out": {"v0": 20.0}, "held_out_pixels": SCORED}
@@ -145,6 +148,22 @@ def test_unlit_is_scored_in_the_pixels_that_lit_was_scored_in(work):
     for where, same in ((~chosen, True), (chosen, False)):
         write_exr(file, np.where(where[..., None], 0.9, photo).astype(np.float32))
         assert (row(work, erode=1.5)["unlit_psnr"] == before) == same
+
+
+def test_unlit_has_the_texels_that_were_configured(work):
+    """Not the fewer ones that the stage choose has left the asset, in colour or in gloss."""
+    assert row(work, erode=1.5)["texture"] == {"unlit": TEXELS, "lit": TEXELS}
+    gloss = np.full((TEXELS // 8, TEXELS // 8), 0.9, np.float32)
+    for name in ("roughness", "metallic"):
+        write_exr(work / "refine" / "0" / f"{name}.exr", gloss)
+    before = row(work, erode=1.5)["unlit_psnr"]
+
+    configured = {"configured": {"refine": {"texture": 2 * TEXELS}}}
+    write_json(work / "choose" / "choose.json", {"decisions": {"texture": configured}})
+    found = row(work, erode=1.5)
+    assert found["texture"] == {"unlit": 2 * TEXELS, "lit": TEXELS}
+    scores = score_unlit(work, 2 * TEXELS, 1.5, SCORED)[0]["robust"]
+    assert before != found["unlit_psnr"] == pytest.approx(scores["v0"])
 
 
 def test_scores_of_other_views_are_not_compared(work):
