@@ -16,7 +16,7 @@ from pipeline.geometry.normal_maps import (
     write_normal_map,
 )
 from pipeline.surface.atlas import make_atlas, unwrap
-from pipeline.surface.bake import bake, filtered_normals, make_normal_map
+from pipeline.surface.bake import bake, filter_steps, filtered_normals, make_normal_map
 from pipeline.surface.raster import texel_faces
 from tests.conftest import sphere
 from tests.seeds import numpy_rng
@@ -77,13 +77,31 @@ def test_the_back_of_a_thin_part_is_not_taken_for_its_front():
     assert np.allclose(normals[8, 8], unit(np.array([[-0.3, 0, 1]])), atol=1e-6)
 
 
+def tilted(mesh, degrees):
+    """A mesh with normals that are off by a normal deviate of so many degrees per axis."""
+    noise = np.radians(degrees) * numpy_rng(0).normal(size=mesh.normals.shape)
+    return Mesh(mesh.vertices, mesh.faces, unit(mesh.normals + noise))
+
+
+def test_noisier_normals_are_filtered_longer_and_better():
+    """Of normals 12 degrees off per axis as many steps leave more than those that they get."""
+    ball = sphere(5)
+    few, many = (filter_steps(tilted(ball, degrees)) for degrees in (3, 12))
+    assert filter_steps(ball) < few < many
+    noisy = tilted(ball, 12)
+    left = [
+        np.median(degrees_between(filtered_normals(noisy, steps), ball.normals))
+        for steps in (few, many)
+    ]
+    assert left[1] < 0.8 * left[0]
+
+
 def test_filter_takes_noise_and_leaves_edges():
     """A ball's normals tilted by 6 degrees per axis; and two plates that meet at right angles."""
     ball = sphere(5)
-    noise = np.radians(6) * numpy_rng(0).normal(size=ball.normals.shape)
-    noisy = Mesh(ball.vertices, ball.faces, unit(ball.normals + noise))
+    noisy = tilted(ball, 6)
     before = np.median(degrees_between(noisy.normals, ball.normals))
-    assert np.median(degrees_between(filtered_normals(noisy), ball.normals)) < 0.4 * before
+    assert np.median(degrees_between(filtered_normals(noisy, 4), ball.normals)) < 0.4 * before
 
     x, y = np.mgrid[0:6, 0:11].reshape(2, -1)
     plates = np.stack([x, np.minimum(y, 5), np.maximum(y - 5, 0)], 1).astype(float)
@@ -95,7 +113,7 @@ def test_filter_takes_noise_and_leaves_edges():
         ]
     )
     flat = np.where(y[:, None] <= 5, [0, 0, 1.0], [0, -1.0, 0])
-    kept = filtered_normals(Mesh(plates, faces, flat))
+    kept = filtered_normals(Mesh(plates, faces, flat), 16)
     assert degrees_between(kept, flat).max() < 0.1
 
 
