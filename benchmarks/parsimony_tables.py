@@ -96,6 +96,20 @@ def chosen_words(row: dict) -> list[str]:
     ]
 
 
+def coverage_by_scene(rows: list[dict]) -> str:
+    """Share of true values that intervals of LEVEL hold, with the choose stage, by kind of unknown;
+    rows of several draws.
+    """
+    kinds = {"light": "light", "relit": "relit pixels", "albedo": "base colour"}
+    shares = [[row["chosen"]["coverage"][kind][LEVEL] for kind in kinds] for row in rows]
+    body = [
+        [row["set"].removeprefix("w_").replace("__", ", "), *(f"{v:.2f}" for v in line)]
+        for row, line in zip(rows, shares)
+    ]
+    body.append(["mean", *(f"{v:.2f}" for v in np.mean(shares, axis=0))])
+    return pipe_table(["scene", *kinds.values()], body)
+
+
 def by_scene(rows: list[dict]) -> str:
     """A line for every scene; a figure beyond its limit in bold."""
 

@@ -40,6 +40,19 @@ def test_the_version_has_one_place():
     assert CITATION["version"] == __version__
 
 
+def test_what_is_no_code_is_packed_too():
+    """Pages, styles and fitted models lie beside the modules that read them."""
+    patterns = PROJECT["tool"]["setuptools"]["package-data"]["*"]
+    beside = [
+        file
+        for folder in ("pipeline", "stages")
+        for file in (ROOT / folder).rglob("*")
+        if file.is_file() and file.suffix != ".py" and "__pycache__" not in file.parts
+    ]
+    assert {file.name for file in beside} >= {"trust.json", "page.html", "py.typed"}
+    assert [f.name for f in beside if not any(f.match(pattern) for pattern in patterns)] == []
+
+
 def test_the_citation_names_software_and_paper():
     assert CITATION["cff-version"] == "1.2.0" and CITATION["type"] == "software"
     assert CITATION["license"] == PROJECT["project"]["license"] == "Apache-2.0"

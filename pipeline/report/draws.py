@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 from pipeline.base.images import linear_to_srgb
 from pipeline.render.renderer import Explanation
@@ -17,6 +18,8 @@ from pipeline.render.renderer import Explanation
 KNOWN_TO = 0.02  # standard error of the samples' mean base colour, sRGB: five steps of 8 bits
 FEWEST = 2
 MOST = 64
+LEVEL = 0.8  # share of the true values that an interval is meant to hold
+HARD = 0.9  # quantile of the texels that is said beside the median
 
 
 class Samples(Sequence):
@@ -59,31 +62,51 @@ def _sum(parts: Iterator[Parts]) -> Parts:
     return total
 
 
-def spread_of(samples: Sequence[Explanation]) -> float:
-    """Root mean square over texels and channels of the standard deviation (n - 1) of the samples'
-    base colour, sRGB.
+def predictive_reach(count: int) -> float:
+    """Half-width of Student's predictive interval of LEVEL about the mean of `count` values, over
+    their standard deviation (n - 1).
     """
-    (color,) = deviations(samples, lambda x: (linear_to_srgb(x.base_color),), ddof=1)
-    return float(np.sqrt((color**2).mean()))
+    return float(stdtrit(count - 1, 0.5 + 0.5 * LEVEL) * np.sqrt(1 + 1 / count))
 
 
-def samples_needed(samples: Sequence[Explanation]) -> dict:
-    """How many samples make the standard error of their mean base colour KNOWN_TO, s^2 / KNOWN_TO^2
-    for a spread of s, between FEWEST and MOST; and the evidence. Empty for a single sample, which
-    says nothing of spread.
+def color_spread(samples: Sequence[Explanation]) -> dict:
+    """How much the samples' base colours differ, sRGB: how many of them make the standard error of
+    their mean KNOWN_TO, s^2 / KNOWN_TO^2 for a root mean square deviation (n - 1) of s over texels
+    and channels, between FEWEST and MOST; and the half-widths of LEVEL's predictive interval at the
+    median of the texels and channels and at HARD. Empty for a single sample, which says nothing of
+    spread.
     """
     if len(samples) < FEWEST:
         return {}
-    spread = spread_of(samples)
+    (deviation,) = deviations(samples, lambda x: (linear_to_srgb(x.base_color),), ddof=1)
+    spread = float(np.sqrt((deviation**2).mean()))
     needed = int(np.clip(np.ceil((spread / KNOWN_TO) ** 2), FEWEST, MOST))
-    return {"samples_needed": needed, "spread": spread, "known_to": KNOWN_TO}
+    middle, hard = predictive_reach(len(samples)) * np.quantile(deviation, [0.5, HARD])
+    return {
+        "samples_needed": needed,
+        "spread": spread,
+        "known_to": KNOWN_TO,
+        "color_within": float(middle),
+        "color_within_hard": float(hard),
+    }
 
 
 def samples_words(found: dict, count: int) -> str:
-    """The suggestion in plain words, of `samples_needed` from `count` samples."""
+    """Whether `count` samples are enough, in plain words, of `color_spread`."""
     needed = found["samples_needed"]
     verdict = "enough" if needed <= count else "too few"
     return (
         f"{count} samples are {verdict}: their base colours differ by {found['spread']:.3f} (sRGB, "
         f"root mean square), so {needed} give a mean that is known to {found['known_to']:.2f}."
+    )
+
+
+def interval_words(found: dict) -> str:
+    """How far the true base colours may be off the samples' mean, in plain words."""
+    return (
+        f"By how much the samples differ, the true base colour is put within "
+        f"±{found['color_within']:.2f} (sRGB) of their mean at half of the texels, within "
+        f"±{found['color_within_hard']:.2f} at nine tenths of them ({100 * LEVEL:.0f} % "
+        "intervals). That leaves out what all samples miss together: a wrong surface, or a light "
+        "that all take for too bright or too dim."
     )

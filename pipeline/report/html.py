@@ -77,14 +77,14 @@ def page(
     samples: list[dict],
     view: str,
     held: bool,
-    trust: list[str],
-    enough: str,
+    said: dict,
 ) -> str:
     """The whole page as one string.
 
     facts: stage -> its metrics; pictures, samples: encoded pictures of `pictures.Painter`; view:
-    name of the photo that is shown; held: whether no fit has seen it; trust: sentences on how far
-    the asset may be relied on; enough: whether there are samples enough, empty for one.
+    name of the photo that is shown; held: whether no fit has seen it. said: `trust`, sentences on
+    how far the asset may be relied on; `enough`, whether there are samples enough, and `within`,
+    how far base colours may be off, both empty for one sample.
     """
     environment = Environment(
         loader=PackageLoader("pipeline.report", ""), autoescape=True, undefined=StrictUndefined
@@ -96,10 +96,9 @@ def page(
         summary=summary(scene, facts),
         warnings=warnings(facts),
         choices=choices(facts),
-        enough=enough,
         pictures=pictures,
         samples=samples,
-        trust=trust,
+        **said,
         view=view,
         kind="held out: no fit has seen it" if held else "used in the fit",
     )

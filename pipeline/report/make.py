@@ -10,7 +10,7 @@ from pathlib import Path
 from pipeline.base.config import Scene
 from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
-from pipeline.report.draws import Samples, samples_needed, samples_words
+from pipeline.report.draws import Samples, color_spread, interval_words, samples_words
 from pipeline.report.html import page
 from pipeline.report.pictures import Painter, contact_sheet, normal_map
 from pipeline.report.trust import evidence, in_words, load_model, probability
@@ -53,13 +53,15 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     found = evidence(work, rig, explanations, scene, scores)
     model = load_model()
     trust = in_words(found, model)
-    needed = samples_needed(explanations)
-    enough = samples_words(needed, scene.samples) if needed else ""
-    html = page(usd, scene, facts, pictures, samples, view.name, view.name in held, trust, enough)
+    spread = color_spread(explanations)
+    enough = samples_words(spread, scene.samples) if spread else ""
+    within = interval_words(spread) if spread else ""
+    said = {"trust": trust, "enough": enough, "within": within}
+    html = page(usd, scene, facts, pictures, samples, view.name, view.name in held, said)
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
     metrics = {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": scene.samples}
-    metrics |= needed
+    metrics |= spread
     if found is None:
         return metrics | {"trust": None}
     return metrics | {"trust": asdict(found) | {"chance_of_failure": probability(found, model)}}

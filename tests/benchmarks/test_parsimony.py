@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from benchmarks.parsimony import carried
-from benchmarks.parsimony_tables import by_scene, coverage, lost, share, summary
+from benchmarks.parsimony_tables import (
+    by_scene,
+    coverage,
+    coverage_by_scene,
+    lost,
+    share,
+    summary,
+)
 from pipeline.render.renderer import Explanation
 
 
@@ -69,6 +76,20 @@ def test_what_is_beyond_a_limit_stands_out():
 def test_coverage_is_the_mean_over_the_kinds_of_unknowns():
     held = {"coverage": {"light": {"80%": 0.5}, "albedo": {"80%": 0.9}}}
     assert coverage(held) == pytest.approx(0.7) and coverage({}) is None
+
+
+def test_what_intervals_hold_stands_scene_by_scene_and_in_the_mean():
+    given = rows()
+    for row, light in zip(given, (0.5, 0.9)):
+        kinds = {"light": light, "relit": 0.25, "albedo": 0.75}
+        row["chosen"]["coverage"] = {kind: {"80%": share} for kind, share in kinds.items()}
+    lines = coverage_by_scene(given).splitlines()
+    assert lines[0] == "| scene | light | relit pixels | base colour |"
+    assert lines[2:] == [
+        "| bowl, room_1 | 0.50 | 0.25 | 0.75 |",
+        "| garden | 0.90 | 0.25 | 0.75 |",
+        "| mean | 0.70 | 0.25 | 0.75 |",
+    ]
 
 
 def test_a_constant_map_counts_as_one_number():

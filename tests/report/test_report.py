@@ -22,11 +22,12 @@ from pipeline.geometry.normal_maps import write_normal_map
 from pipeline.render.renderer import Renderer
 from pipeline.report import trust
 from pipeline.report.choices import gloss_choices
-from pipeline.report.draws import samples_needed
+from pipeline.report.draws import LEVEL, color_spread, predictive_reach
 from pipeline.report.make import make_report
 from pipeline.report.pictures import Painter, evening_light, heat, range_words
 from tests.render.pictures import render_view
 from tests.render.test_renderer import explanation
+from tests.seeds import numpy_rng
 
 SIZE = 48
 SCENE = Scene(photos="nowhere", samples=2, preset="draft", report={"relight_size": 32, "spp": 16})
@@ -159,6 +160,22 @@ def test_trust_is_on_the_page_and_in_the_metrics(page, page_of_one):
     assert found["explained"] == 30.5 and 0 < found["chance_of_failure"] < 1
     metrics, html = page_of_one
     assert metrics["trust"] is None and "takes two samples at least" in html
+
+
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_intervals_of_right_samples_hold_what_they_say(count):
+    drawn = numpy_rng(0).normal(size=(count + 1, 20_000))
+    samples, truth = drawn[:-1], drawn[-1]
+    reach = predictive_reach(count) * samples.std(0, ddof=1)
+    assert (np.abs(truth - samples.mean(0)) <= reach).mean() == pytest.approx(LEVEL, abs=0.02)
+
+
+def test_how_far_colours_may_be_off_is_on_the_page(page, page_of_one):
+    metrics, html, _ = page
+    assert f"within ±{metrics['color_within']:.2f} (sRGB) of their mean" in html
+    assert 0 < metrics["color_within"] <= metrics["color_within_hard"]
+    metrics, html = page_of_one
+    assert "color_within" not in metrics and "By how much the samples differ" not in html
 
 
 @pytest.mark.slow
@@ -351,11 +368,15 @@ def test_samples_needed_follow_from_their_spread(page):
     color = np.full((16, 16, 3), 0.2, np.float32)
     other = linear_to_srgb(color) + 0.1
     pair = [replace(one, base_color=color), replace(one, base_color=srgb_to_linear(other))]
-    found = samples_needed(pair)
+    found = color_spread(pair)
     assert found["spread"] == pytest.approx(0.1 / np.sqrt(2), rel=1e-3)
     assert found["samples_needed"] == 13  # .005 / .0004 = 12.5
-    assert samples_needed([pair[0], pair[0]])["samples_needed"] == 2
-    assert samples_needed(pair[:1]) == {}
+    reach = predictive_reach(2) * 0.1 / np.sqrt(2)
+    assert [found[k] for k in ("color_within", "color_within_hard")] == pytest.approx(
+        [reach, reach], rel=1e-3
+    )
+    assert color_spread([pair[0], pair[0]])["samples_needed"] == 2
+    assert color_spread(pair[:1]) == {}
 
     metrics, said, _ = page
     assert f"so {metrics['samples_needed']} give a mean" in said
