@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.markdown import number, pipe_table
+from benchmarks.tables.committed import title
 
 # of the true scores: heading, name, digits
 TRUE = [
@@ -61,7 +62,7 @@ def truths(rows: list[dict]) -> str:
     """Samples whose truth is known, as drawn | tested, and the means over all of them."""
     body = []
     for row in rows:
-        cells = [row["set"].removeprefix("w_").replace("__", ", "), str(row["sample"])]
+        cells = [title(row["set"].removeprefix("w_")), str(row["sample"])]
         cells.append(pair(row, "held_out_psnr", 1))
         true = {gloss: row[gloss]["truth"] for gloss in ("maps", "tested")}
         cells += [pair(true, key, digits) for _, key, digits in TRUE]
@@ -86,7 +87,7 @@ def worst(rows: list[dict]) -> str:
         for row in rows
     ]
     least = int(np.argmin(gains))
-    name = rows[least]["set"].removeprefix("w_").replace("__", ", ")
+    name = title(rows[least]["set"].removeprefix("w_"))
     return (
         f"Relit, {sum(gain > 0 for gain in gains)} of {len(gains)} samples gain; the mean gain is "
         f"{np.mean(gains):+.2f} dB, the largest loss {-min(gains):.2f} dB ({name}).\n"

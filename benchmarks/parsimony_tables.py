@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.markdown import pipe_table
+from benchmarks.tables.committed import title
 
 LIMITS = {"numbers": 0.25, "cpu_seconds": 0.6}  # largest shares of the fixed preset's
 LOSSES = {"held_out": 0.1, "relight": 0.2, "coverage": 0.02}  # most that may be lost: dB, share
@@ -103,7 +104,7 @@ def coverage_by_scene(rows: list[dict]) -> str:
     kinds = {"light": "light", "relit": "relit pixels", "albedo": "base colour"}
     shares = [[row["chosen"]["coverage"][kind][LEVEL] for kind in kinds] for row in rows]
     body = [
-        [row["set"].removeprefix("w_").replace("__", ", "), *(f"{v:.2f}" for v in line)]
+        [title(row["set"].removeprefix("w_")), *(f"{v:.2f}" for v in line)]
         for row, line in zip(rows, shares)
     ]
     body.append(["mean", *(f"{v:.2f}" for v in np.mean(shares, axis=0))])
@@ -118,7 +119,7 @@ def by_scene(rows: list[dict]) -> str:
 
     body = []
     for row in rows:
-        line = [f"{row['set'].removeprefix('w_').replace('__', ', ')}, {row['preset']}"]
+        line = [f"{title(row['set'].removeprefix('w_'))}, {row['preset']}"]
         line += chosen_words(row)
         for key, limit in LIMITS.items():
             line.append(cell(share(row, key), limit, f"{100 * share(row, key):.0f} %"))

@@ -21,15 +21,13 @@ from pipeline.base.files import read_json, write_json
 from pipeline.run.workflow import checked_name
 
 ROOT = Path(__file__).resolve().parent.parent
+# for a fit that several methods share: as much work as the preset says, whatever the scene needs
+AS_CONFIGURED = "choose={enabled: false}"
 
 
 def machine() -> str:
     """What rows say of the machine they were made on: times of two machines are not compared."""
     return ", ".join([platform.machine(), f"{os.cpu_count()} cores", *processor()])
-
-
-# for a fit that several methods share: as much work as the preset says, whatever the scene needs
-AS_CONFIGURED = "choose={enabled: false}"
 
 
 def processor() -> list[str]:

@@ -171,14 +171,14 @@ def lit_samples(work: Path) -> list[Path]:
     return sorted(found, key=lambda folder: int(folder.name))
 
 
-def configured_side(work: Path, sample: Path) -> int:
+def configured_side(work: Path, lit_side: int) -> int:
     """Texels a side of the base colour that the scene is configured with, whatever the stage choose
-    has made of it; where it decided nothing, those of `sample`.
+    has made of it; where it decided nothing, the asset's own, `lit_side`.
     """
     decided = read_json(work / "choose" / "choose.json")["decisions"]["texture"]
     if "configured" in decided:
         return decided["configured"]["refine"]["texture"]
-    return len(read_exr(sample / "base_color.exr"))
+    return lit_side
 
 
 def lit_sample(folder: Path, seen: np.ndarray) -> dict:
@@ -223,7 +223,8 @@ def row(work: Path, erode: float) -> dict:
     Raises InputError where a stage is missing, or where the lit score is of other views.
     """
     samples = lit_samples(work)
-    size = configured_side(work, samples[0])
+    lit_side = len(read_exr(samples[0] / "base_color.exr"))
+    size = configured_side(work, lit_side)
     scored = read_json(samples[0] / "refine.json")["held_out_pixels"]
     unlit, seen = score_unlit(work, size, erode, scored)
     if not unlit["robust"]:
@@ -249,7 +250,7 @@ def row(work: Path, erode: float) -> dict:
         "unlit_psnr_plain_mean": mean(list(unlit["plain"].values())),
         "unlit_views": unlit["robust"],
         "samples": lit,
-        "texture": {"unlit": size, "lit": len(read_exr(samples[0] / "base_color.exr"))},
+        "texture": {"unlit": size, "lit": lit_side},
         "charts": atlas["charts"],
         "utilisation": atlas["utilisation"],
         "packed_by": atlas.get("packed_by"),  # none by versions with one packer

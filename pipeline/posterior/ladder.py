@@ -170,7 +170,7 @@ class Jury:
 
     def colored(self, begin: Explanation, shading: Shading, index: np.ndarray) -> Explanation:
         """`begin` with the base colour that the kept pixels `index` show under a shading of all."""
-        some = self.kept.with_pixels(index).observations
+        some = self.kept.observations.with_pixels(index)
         of_some = Shading(shading.scaled[index], shading.rest[index])
         return replace(begin, base_color=color_map(some, of_some, begin.base_color, USUAL)[0])
 

@@ -7,7 +7,6 @@ saturated observation is a lower bound: no penalty for being brighter.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,9 +68,7 @@ class Problem:
 
     def with_pixels(self, index: np.ndarray) -> Problem:
         """The problem with the observed pixels `index` only; the renderer is shared."""
-        some = copy.copy(self.observations)
-        for name in ("view", "pixel", "rgb", "clipped", "uv", "cosine"):
-            setattr(some, name, getattr(some, name)[index])
+        some = self.observations.with_pixels(index)
         normals = self.shading_normals[index]
         return Problem(some, self.renderer, self.roughness_min, self.normal_error, normals)
 

@@ -8,6 +8,13 @@ from scipy.special import stdtrit
 NOMINAL = (0.5, 0.8, 0.95)
 
 
+def predictive_reach(count: int, nominal: float) -> float:
+    """Half-width of Student's predictive interval about the mean of `count` draws that is to hold a
+    share of `nominal`, over their standard deviation (n - 1).
+    """
+    return float(stdtrit(count - 1, 0.5 + 0.5 * nominal) * np.sqrt(1 + 1 / count))
+
+
 def coverage(draws: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """Share of the unknowns whose true value (k,) the central interval of draws (n, k) holds, per
     nominal share.
@@ -23,8 +30,7 @@ def coverage(draws: np.ndarray, truth: np.ndarray) -> dict[str, float]:
         if rank >= 1:
             low, high = np.quantile(draws, [(rank - 1) / (n - 1), 1 - (rank - 1) / (n - 1)], axis=0)
         else:
-            deviations = stdtrit(n - 1, 0.5 + 0.5 * nominal)
-            reach = deviations * draws.std(0, ddof=1) * np.sqrt(1 + 1 / n)
+            reach = predictive_reach(n, nominal) * draws.std(0, ddof=1)
             low = draws.mean(0) - reach
             high = draws.mean(0) + reach
         out[f"{nominal:.0%}"] = float(((truth >= low) & (truth <= high)).mean())

@@ -10,6 +10,7 @@ the object, where it is asked for, lies beside them (surroundings.py).
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from pathlib import Path
 
@@ -270,6 +271,13 @@ class Observations:
 
     def __len__(self) -> int:
         return len(self.view)
+
+    def with_pixels(self, index: np.ndarray) -> Observations:
+        """The table's rows `index` only, of the same views."""
+        some = copy.copy(self)
+        for name in ("view", "pixel", "rgb", "clipped", "uv", "cosine"):
+            setattr(some, name, getattr(some, name)[index])
+        return some
 
     def rays(self, index: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """One ray through a random point of each pixel of `index` (any shape (...,)): origins,

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from pipeline.base.images import linear_to_srgb
+from pipeline.render.draw_metrics import predictive_reach
 from pipeline.render.renderer import Explanation
 
 KNOWN_TO = 0.02  # standard error of the samples' mean base colour, sRGB: five steps of 8 bits
@@ -62,13 +62,6 @@ def _sum(parts: Iterator[Parts]) -> Parts:
     return total
 
 
-def predictive_reach(count: int) -> float:
-    """Half-width of Student's predictive interval of LEVEL about the mean of `count` values, over
-    their standard deviation (n - 1).
-    """
-    return float(stdtrit(count - 1, 0.5 + 0.5 * LEVEL) * np.sqrt(1 + 1 / count))
-
-
 def color_spread(samples: Sequence[Explanation]) -> dict:
     """How much the samples' base colours differ, sRGB: how many of them make the standard error of
     their mean KNOWN_TO, s^2 / KNOWN_TO^2 for a root mean square deviation (n - 1) of s over texels
@@ -81,7 +74,7 @@ def color_spread(samples: Sequence[Explanation]) -> dict:
     (deviation,) = deviations(samples, lambda x: (linear_to_srgb(x.base_color),), ddof=1)
     spread = float(np.sqrt((deviation**2).mean()))
     needed = int(np.clip(np.ceil((spread / KNOWN_TO) ** 2), FEWEST, MOST))
-    middle, hard = predictive_reach(len(samples)) * np.quantile(deviation, [0.5, HARD])
+    middle, hard = predictive_reach(len(samples), LEVEL) * np.quantile(deviation, [0.5, HARD])
     return {
         "samples_needed": needed,
         "spread": spread,

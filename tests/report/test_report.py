@@ -19,10 +19,11 @@ from pipeline.base.images import linear_to_srgb, srgb_to_linear, to_srgb8, write
 from pipeline.geometry.cameras import Rig, save_cameras
 from pipeline.geometry.mesh_io import load_mesh
 from pipeline.geometry.normal_maps import write_normal_map
+from pipeline.render.draw_metrics import predictive_reach
 from pipeline.render.renderer import Renderer
 from pipeline.report import trust
 from pipeline.report.choices import gloss_choices
-from pipeline.report.draws import LEVEL, color_spread, predictive_reach
+from pipeline.report.draws import LEVEL, color_spread
 from pipeline.report.make import make_report
 from pipeline.report.pictures import Painter, evening_light, heat, range_words
 from tests.render.pictures import render_view
@@ -166,7 +167,7 @@ def test_trust_is_on_the_page_and_in_the_metrics(page, page_of_one):
 def test_intervals_of_right_samples_hold_what_they_say(count):
     drawn = numpy_rng(0).normal(size=(count + 1, 20_000))
     samples, truth = drawn[:-1], drawn[-1]
-    reach = predictive_reach(count) * samples.std(0, ddof=1)
+    reach = predictive_reach(count, LEVEL) * samples.std(0, ddof=1)
     assert (np.abs(truth - samples.mean(0)) <= reach).mean() == pytest.approx(LEVEL, abs=0.02)
 
 
@@ -371,7 +372,7 @@ def test_samples_needed_follow_from_their_spread(page):
     found = color_spread(pair)
     assert found["spread"] == pytest.approx(0.1 / np.sqrt(2), rel=1e-3)
     assert found["samples_needed"] == 13  # .005 / .0004 = 12.5
-    reach = predictive_reach(2) * 0.1 / np.sqrt(2)
+    reach = predictive_reach(2, LEVEL) * 0.1 / np.sqrt(2)
     assert [found[k] for k in ("color_within", "color_within_hard")] == pytest.approx(
         [reach, reach], rel=1e-3
     )
