@@ -6,13 +6,16 @@ Rows i of surface point p in region r, per channel:
     a_p ~ N(mu_r, tau_r^2 mu_r^2) on [0, c_p]
     e_i ~ N(0, eta^2 (y_i + SHADE)^2 / lambda_i),    lambda_i ~ Gamma(NU / 2, NU / 2)
 
-A point's base colour varies about its region's mean and stays below the point's ceiling c_p; errors
-are Student's t, so that outliers count less. With v = tau^2 mu^2 and D the errors' variances the
-rows of a point are y_p ~ N(mu U + W, D + v U U'), in closed form by the rank-one identities, times
-the probability that a_p is possible given y_p over that without the photos: a light too dim for the
-brightest points is no explanation. A row is a mean over a patch; the patch's brightest pixels reach
-ALBEDO_MAX when its mean is at c_p (`contrast`). A region of one colour tells of the light by its
-shading, a busy texture does not, and the data decide which it is.
+A point's base colour varies about its region's mean, is positive and stays below the point's
+ceiling c_p; errors are Student's t, so that outliers count less. With v = tau^2 mu^2 and D the
+errors' variances the rows of a point are y_p ~ N(mu U + W, D + v U U'), in closed form by the
+rank-one identities, times the probability that a_p is possible given y_p over that of a_p > 0
+without the photos: a light too dim for the brightest points is no explanation. The ceiling bounds
+mean and points together: p(mu, a) ~ p(mu) N(a; mu, v) below it. With a normal distribution cut off
+for every mu by itself, colours that nature keeps within bounds, as it does, would be explained best
+by a light so dim that their bound is the ceiling. A row is a mean over a patch; the patch's
+brightest pixels reach ALBEDO_MAX when its mean is at c_p (`contrast`). A region of one colour tells
+of the light by its shading, a busy texture does not, and the data decide which it is.
 
 Neighbouring rows err together (a wrong normal, a wrong camera): the log-likelihood is divided by
 the design effect kappa, measured from residuals (noise.py), and every point has a weight of its own
@@ -38,8 +41,11 @@ from pipeline.render.rows import Rows
 from pipeline.render.surroundings import Sightings
 from pipeline.render.transport import Transport
 
-# quantile of a point's pixels whose base colour must be possible
+# quantile of a patch's pixels whose base colour must be possible
 BRIGHT = 0.9
+# by how much that quantile is above the mean, at most places, where all is of one base colour: what
+# shading does to a patch
+SHADING = 1.1
 
 
 @dataclass(frozen=True)
@@ -209,13 +215,10 @@ class RowModel:
         s = self.thinned(precision * rest**2)
         all_q = self.thinned(self.precision * U * U) if self.data.clipped.any() else q
 
-        ceiling = self.data.ceiling
-        mean = materials.color[self.data.region]
-        possible = log_possible(*self.colors(q, g, materials), ceiling) - log_possible(
-            mean, v, ceiling
-        )
+        possible = log_possible(*self.colors(q, g, materials), self.data.ceiling)
+        positive = special.log_ndtr(1 / materials.spread)[self.data.region, None]
         fit = -0.5 * (s - v * g * g / (1 + v * q))
-        return (fit - 0.5 * np.log1p(v * all_q) + possible).sum(1)
+        return (fit - 0.5 * np.log1p(v * all_q) + possible - positive).sum(1)
 
     def draw_colors(
         self, U: np.ndarray, W: np.ndarray, materials: RegionMaterials, rng: np.random.Generator
@@ -255,14 +258,17 @@ def log_possible(mean: np.ndarray, variance: np.ndarray, ceiling: np.ndarray) ->
 
 
 def contrast(rows: Rows, rgb: np.ndarray) -> np.ndarray:
-    """How much brighter than the mean of their patch the BRIGHT quantile of every point's pixels
-    is, (p, 3), at least 1; rgb (observations, 3).
+    """How much brighter than the mean of its patch the BRIGHT quantile of a row's pixels is, in
+    that row of every point where it is least, beyond what SHADING does, (p, 3), at least 1; rgb
+    (observations, 3).
+
+    A spot of brighter base colour is bright in every photo; what a glossy surface mirrors is
+    elsewhere in the next one.
     """
-    patch, points = rows.patch, len(rows.starts)
+    patch = rows.patch
     if patch is None:
         raise ValueError("these rows are single pixels: there is no patch to compare with")
-    row = np.repeat(np.arange(patch.shape[0]), np.diff(patch.indptr))
-    ratio = rgb[patch.indices] / np.maximum((patch @ rgb)[row], 1e-6)
-    # rows are sorted by point
-    pixels = np.split(ratio, np.searchsorted(rows.point[row], np.arange(1, points)))
-    return np.maximum([np.quantile(r, BRIGHT, axis=0) for r in pixels], 1.0)
+    mean = np.repeat(patch @ rgb, np.diff(patch.indptr), axis=0)
+    ratio = np.split(rgb[patch.indices] / np.maximum(mean, 1e-6), patch.indptr[1:-1])
+    of_rows = np.array([np.quantile(r, BRIGHT, axis=0) for r in ratio])
+    return np.maximum(np.minimum.reduceat(of_rows, rows.starts) / SHADING, 1.0)
