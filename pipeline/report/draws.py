@@ -5,7 +5,8 @@ They are read one after another and let go: at 4096 texels a side each has 340 M
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ FEWEST = 2
 MOST = 64
 LEVEL = 0.8  # share of the true values that an interval is meant to hold
 HARD = 0.9  # quantile of the texels that is said beside the median
+DARKEST = 1e-4  # radiance below which all is black: a log has to end somewhere
 
 
 class Samples(Sequence):
@@ -38,19 +40,39 @@ class Samples(Sequence):
         return map(Explanation.load, self.folders)
 
 
+@dataclass(frozen=True)
+class Spread:
+    """How much the samples differ: unbiased standard deviations over `count` of them.
+
+    color (t, t, 3): of the base colour, sRGB; roughness, metallic (t', t'); light (h, 2h, 3): of
+    the log of radiance over its mean.
+    """
+
+    count: int
+    color: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+    light: np.ndarray
+
+    @classmethod
+    def of(cls, samples: Sequence[Explanation]) -> Spread | None:
+        """None for a single sample, which says nothing of spread."""
+        count = len(samples)
+        if count < FEWEST:
+            return None
+        mean = [part / count for part in _sum(_compared(x) for x in samples)]
+        square = lambda x: tuple((part - m) ** 2 for part, m in zip(_compared(x), mean))
+        deviation = (np.sqrt(part / (count - 1)) for part in _sum(square(x) for x in samples))
+        return cls(count, *deviation)
+
+
 Parts = tuple[np.ndarray, ...]
 
 
-def deviations(
-    samples: Sequence[Explanation], of: Callable[[Explanation], Parts], ddof: int = 0
-) -> Parts:
-    """Standard deviation over samples of each array that `of` makes of one. ddof: 1 for the
-    unbiased variance.
-    """
-    count = len(samples)
-    mean = [part / count for part in _sum(of(x) for x in samples)]
-    square = lambda x: tuple((part - m) ** 2 for part, m in zip(of(x), mean))
-    return tuple(np.sqrt(part / (count - ddof)) for part in _sum(square(x) for x in samples))
+def _compared(x: Explanation) -> Parts:
+    """What samples are compared by: the arrays of `Spread`, in order."""
+    log_light = np.log(np.maximum(x.light, DARKEST) / x.light.mean())
+    return linear_to_srgb(x.base_color), x.roughness, x.metallic, log_light
 
 
 def _sum(parts: Iterator[Parts]) -> Parts:
@@ -62,22 +84,19 @@ def _sum(parts: Iterator[Parts]) -> Parts:
     return total
 
 
-def color_spread(samples: Sequence[Explanation]) -> dict:
+def color_facts(spread: Spread) -> dict:
     """How much the samples' base colours differ, sRGB: how many of them make the standard error of
-    their mean KNOWN_TO, s^2 / KNOWN_TO^2 for a root mean square deviation (n - 1) of s over texels
-    and channels, between FEWEST and MOST; and the half-widths of LEVEL's predictive interval at the
-    median of the texels and channels and at HARD. Empty for a single sample, which says nothing of
-    spread.
+    their mean KNOWN_TO, s^2 / KNOWN_TO^2 for a root mean square deviation of s over texels and
+    channels, between FEWEST and MOST; and the half-widths of LEVEL's predictive interval at the
+    median of the texels and channels and at HARD.
     """
-    if len(samples) < FEWEST:
-        return {}
-    (deviation,) = deviations(samples, lambda x: (linear_to_srgb(x.base_color),), ddof=1)
-    spread = float(np.sqrt((deviation**2).mean()))
-    needed = int(np.clip(np.ceil((spread / KNOWN_TO) ** 2), FEWEST, MOST))
-    middle, hard = predictive_reach(len(samples), LEVEL) * np.quantile(deviation, [0.5, HARD])
+    deviation = spread.color
+    mean_square = float((deviation**2).mean())
+    needed = int(np.clip(np.ceil(mean_square / KNOWN_TO**2), FEWEST, MOST))
+    middle, hard = predictive_reach(spread.count, LEVEL) * np.quantile(deviation, [0.5, HARD])
     return {
         "samples_needed": needed,
-        "spread": spread,
+        "spread": float(np.sqrt(mean_square)),
         "known_to": KNOWN_TO,
         "color_within": float(middle),
         "color_within_hard": float(hard),
@@ -85,7 +104,7 @@ def color_spread(samples: Sequence[Explanation]) -> dict:
 
 
 def samples_words(found: dict, count: int) -> str:
-    """Whether `count` samples are enough, in plain words, of `color_spread`."""
+    """Whether `count` samples are enough, in plain words, of `color_facts`."""
     needed = found["samples_needed"]
     verdict = "enough" if needed <= count else "too few"
     return (

@@ -10,9 +10,9 @@ from pathlib import Path
 from pipeline.base.config import Scene
 from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
-from pipeline.report.draws import Samples, color_spread, interval_words, samples_words
+from pipeline.report.draws import Samples, Spread, color_facts, interval_words, samples_words
 from pipeline.report.html import page
-from pipeline.report.pictures import Painter, contact_sheet, normal_map
+from pipeline.report.pictures import Painter, contact_sheet, normal_map, spread_pictures
 from pipeline.report.trust import evidence, in_words, load_model, probability
 
 STAGES = ("capture", "poses", "masks", "mesh", "atlas", "observe", "choose", "fit")
@@ -39,6 +39,7 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     view = next((v for v in rig.views if held and v.name == held[0]), rig.views[0])
     painter = Painter(work, view, scene)
     samples = [painter.sample(x) for x in explanations]
+    spread = Spread.of(explanations)
     pictures = {
         "photos": contact_sheet(work, rig),
         "masks": (work / "masks" / "overlay.jpg").read_bytes(),
@@ -46,22 +47,22 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
         "atlas": (work / "atlas" / "atlas.png").read_bytes(),
         "normals": normal_map(work),
         "photo": painter.photo_jpeg(),
-        "spread": painter.spread(explanations),
+        "spread": spread_pictures(spread) if spread else {},
     }
     held_out = [f["held_out_psnr"] for stage, f in facts.items() if stage.startswith("refine")]
     scores = [score for score in held_out if score is not None]
     found = evidence(work, rig, explanations, scene, scores)
     model = load_model()
     trust = in_words(found, model)
-    spread = color_spread(explanations)
-    enough = samples_words(spread, scene.samples) if spread else ""
-    within = interval_words(spread) if spread else ""
+    color = color_facts(spread) if spread else {}
+    enough = samples_words(color, scene.samples) if color else ""
+    within = interval_words(color) if color else ""
     said = {"trust": trust, "enough": enough, "within": within}
     html = page(usd, scene, facts, pictures, samples, view.name, view.name in held, said)
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
     metrics = {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": scene.samples}
-    metrics |= spread
+    metrics |= color
     if found is None:
         return metrics | {"trust": None}
     return metrics | {"trust": asdict(found) | {"chance_of_failure": probability(found, model)}}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -18,7 +17,7 @@ from pipeline.render.envmap import directions, mean_radiance, resample_area
 from pipeline.render.metrics import psnr, render_pixels, render_twice
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.render.surroundings import Ground, Surroundings
-from pipeline.report.draws import deviations
+from pipeline.report.draws import Spread
 
 HEAT = cv2.COLORMAP_INFERNO
 
@@ -54,6 +53,17 @@ def normal_map(work: Path) -> bytes | None:
     if normals is None:
         return None
     return encode((shrink(normals) * 255).astype(np.uint8))
+
+
+def spread_pictures(spread: Spread) -> dict[str, bytes]:
+    """Of every map's standard deviation over samples, and of the log light's."""
+    light = cv2.resize(spread.light.mean(-1), (512, 256), interpolation=cv2.INTER_NEAREST)
+    return {
+        "base colour (0 to 0.2, sRGB)": encode(heat(shrink(spread.color.mean(-1)), 0.2)),
+        "roughness (0 to 0.3)": encode(heat(shrink(spread.roughness), 0.3)),
+        "metallic (0 to 0.3)": encode(heat(shrink(spread.metallic), 0.3)),
+        "light (log radiance, 0 to 2)": encode(heat(light, 2.0)),
+    }
 
 
 def contact_sheet(work: Path, rig: Rig, height: int = 150, limit: int = 18) -> bytes:
@@ -155,26 +165,4 @@ class Painter:
             "psnr": psnr(halves[0], self.photo, self.mask, halves[1]),
             "mean_radiance": brightness,
             "mean_base_color": float(x.base_color.mean()),
-        }
-
-    def spread(self, samples: Sequence[Explanation]) -> dict[str, bytes]:
-        """Standard deviation over samples of each map and of the log light; empty for a single
-        sample.
-        """
-        if len(samples) < 2:
-            return {}
-
-        shown = lambda x: (
-            linear_to_srgb(x.base_color),
-            x.roughness,
-            x.metallic,
-            np.log(np.maximum(x.light, 1e-4) / x.light.mean()),
-        )
-        color, roughness, metallic, light = deviations(samples, shown)
-        light = cv2.resize(light.mean(-1), (512, 256), interpolation=cv2.INTER_NEAREST)
-        return {
-            "base colour (0 to 0.2, sRGB)": encode(heat(shrink(color.mean(-1)), 0.2)),
-            "roughness (0 to 0.3)": encode(heat(shrink(roughness), 0.3)),
-            "metallic (0 to 0.3)": encode(heat(shrink(metallic), 0.3)),
-            "light (log radiance, 0 to 2)": encode(heat(light, 2.0)),
         }

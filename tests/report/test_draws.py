@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.files import write_json
+from pipeline.base.images import linear_to_srgb
 from pipeline.render.renderer import Explanation
-from pipeline.report.draws import Samples, deviations
+from pipeline.report.draws import Samples, Spread
 from pipeline.report.make import make_report
 from tests.render.test_renderer import explanation
 from tests.report import test_report
@@ -42,12 +43,17 @@ def test_the_report_holds_no_more_samples_than_it_draws(work, tmp_path, monkeypa
     assert len(most) >= COUNT and max(most) <= 3
 
 
-def test_deviations_are_those_of_all_samples_at_once(tmp_path):
+def test_spread_is_that_of_all_samples_at_once(tmp_path):
     found = [explanation(16, 8, seed=seeded(k)) for k in range(COUNT)]
     for k, x in enumerate(found):
         x.save(tmp_path / "refine" / str(k))
-    color, light = deviations(Samples(tmp_path, COUNT), lambda x: (x.base_color, x.light))
-    np.testing.assert_array_equal(color, np.std([x.base_color for x in found], axis=0))
-    np.testing.assert_array_equal(light, np.std([x.light for x in found], axis=0))
-    (unbiased,) = deviations(found, lambda x: (x.metallic,), ddof=1)
-    np.testing.assert_allclose(unbiased, np.std([x.metallic for x in found], axis=0, ddof=1))
+    spread = Spread.of(Samples(tmp_path, COUNT))
+    of_all = lambda values: np.std(values, axis=0, ddof=1)
+    for name in ("roughness", "metallic"):
+        expected = of_all([getattr(x, name) for x in found])
+        np.testing.assert_allclose(getattr(spread, name), expected, rtol=1e-5, atol=1e-7)
+    color = of_all([linear_to_srgb(x.base_color) for x in found])
+    np.testing.assert_allclose(spread.color, color, rtol=1e-4, atol=1e-6)
+    light = of_all([np.log(x.light / x.light.mean()) for x in found])
+    np.testing.assert_allclose(spread.light, light, rtol=1e-3, atol=1e-5)
+    assert spread.count == COUNT and Spread.of(found[:1]) is None

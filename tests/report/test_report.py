@@ -23,9 +23,9 @@ from pipeline.render.draw_metrics import predictive_reach
 from pipeline.render.renderer import Renderer
 from pipeline.report import trust
 from pipeline.report.choices import gloss_choices
-from pipeline.report.draws import LEVEL, color_spread
+from pipeline.report.draws import LEVEL, Spread, color_facts
 from pipeline.report.make import make_report
-from pipeline.report.pictures import Painter, evening_light, heat, range_words
+from pipeline.report.pictures import Painter, evening_light, heat, range_words, spread_pictures
 from tests.render.pictures import render_view
 from tests.render.test_renderer import explanation
 from tests.seeds import numpy_rng
@@ -250,15 +250,14 @@ def test_render_lines_up_with_the_photo(work, ring):
     assert right > 25 and right > wrong + 3 and right > mirrored + 3
 
 
-def test_spread_is_dark_where_samples_agree(work, ring):
-    painter = Painter(work, ring(4, SIZE)[1], SCENE)
+def test_spread_is_dark_where_samples_agree():
     picture = lambda b: np.asarray(Image.open(io.BytesIO(b))).astype(int)
-    spread = painter.spread([explanation(16, 8, seed=0), explanation(16, 8, seed=1, roughness=0.9)])
-    base, rough, metal, light = (picture(b) for b in spread.values())
+    pair = [explanation(16, 8, seed=0), explanation(16, 8, seed=1, roughness=0.9)]
+    shown = spread_pictures(Spread.of(pair))
+    base, rough, metal, light = (picture(b) for b in shown.values())
     assert np.abs(metal - heat(np.zeros((1, 1)), 1)[0, 0]).max() < 6  # same metallic in both
-    assert (
-        np.abs(rough - heat(np.full((1, 1), 0.2), 0.3)[0, 0]).max() < 6
-    )  # 0.5 and 0.9: deviation 0.2
+    deviation = np.full((1, 1), 0.4 / np.sqrt(2))  # of roughness .5 and .9
+    assert np.abs(rough - heat(deviation, 0.3)[0, 0]).max() < 6
     assert base.mean() > metal.mean() + 5 and light.mean() > metal.mean() + 5
 
 
@@ -369,15 +368,14 @@ def test_samples_needed_follow_from_their_spread(page):
     color = np.full((16, 16, 3), 0.2, np.float32)
     other = linear_to_srgb(color) + 0.1
     pair = [replace(one, base_color=color), replace(one, base_color=srgb_to_linear(other))]
-    found = color_spread(pair)
+    found = color_facts(Spread.of(pair))
     assert found["spread"] == pytest.approx(0.1 / np.sqrt(2), rel=1e-3)
     assert found["samples_needed"] == 13  # .005 / .0004 = 12.5
     reach = predictive_reach(2, LEVEL) * 0.1 / np.sqrt(2)
     assert [found[k] for k in ("color_within", "color_within_hard")] == pytest.approx(
         [reach, reach], rel=1e-3
     )
-    assert color_spread([pair[0], pair[0]])["samples_needed"] == 2
-    assert color_spread(pair[:1]) == {}
+    assert color_facts(Spread.of([pair[0], pair[0]]))["samples_needed"] == 2
 
     metrics, said, _ = page
     assert f"so {metrics['samples_needed']} give a mean" in said
