@@ -203,3 +203,15 @@ def test_where_there_is_no_map_the_metrics_say_why(tmp_path, bumpy):
     )
     assert "mirrors 100 %" in make_normal_map(bumpy, tmp_path, Atlas())["normal_map"]
     assert not (tmp_path / "normal.png").exists()
+
+
+def test_a_map_that_explains_nothing_is_not_written(tmp_path):
+    """A fine ball and the same in fewer triangles: smooth normals show no difference. One that has
+    lost bumps has a map (`bumpy`).
+    """
+    save_mesh(tmp_path / "dense.ply", sphere(6))
+    save_mesh(tmp_path / "mesh.ply", sphere(5))
+    make_atlas(tmp_path / "mesh.ply", tmp_path, Atlas(resolution=64))
+    found = make_normal_map(tmp_path, tmp_path, Atlas(resolution=64))
+    assert found["normal_map"].startswith("none: decimation moved normals by less than 0.5 degrees")
+    assert not (tmp_path / "normal.png").exists()
