@@ -55,7 +55,7 @@ SPP = 64  # paths per pixel of pictures that are scored against the truth
 @dataclass
 class Job:
     """A scene: name; folders of the stages GIVEN; photos: its folder where the truth is known, else
-    None. preset, settings: of both variants; draws: samples of each.
+    None. preset, settings: of both variants; draws: samples of each; variants: which of VARIANTS.
     """
 
     name: str
@@ -64,6 +64,7 @@ class Job:
     preset: str
     settings: dict
     draws: int
+    variants: tuple[str, ...] = tuple(VARIANTS)
 
 
 def run_one(
@@ -174,11 +175,13 @@ def variant_row(job: Job, here: Path, folders: dict[str, Path], enabled: bool) -
 
 
 def make_row(job: Job, out: Path) -> Path:
-    """Both variants of a scene, and the file of its row."""
+    """The variants of a scene, and the file of its row."""
     here = out / "work" / job.name / job.preset
     row_file = here / "row.json"
-    if row_file.exists() and read_json(row_file)["draws"] >= job.draws:
-        return row_file
+    if row_file.exists():
+        known = read_json(row_file)
+        if known["draws"] >= job.draws and known.keys() >= set(job.variants):
+            return row_file
 
     here.mkdir(parents=True, exist_ok=True)
     config = here / "scene.yaml"
@@ -188,8 +191,8 @@ def make_row(job: Job, out: Path) -> Path:
 
     folders = job.folders | {"observe": here / "observe"}
     row: dict = {"set": job.name, "preset": job.preset, "with": job.settings, "draws": job.draws}
-    for variant, enabled in VARIANTS.items():
-        row[variant] = variant_row(job, here / variant, folders, enabled)
+    for variant in job.variants:
+        row[variant] = variant_row(job, here / variant, folders, VARIANTS[variant])
     write_json(row_file, row)
     return row_file
 
@@ -227,6 +230,7 @@ def main() -> None:
     parser.add_argument("--preset", default="standard", help="draft, standard or reference")
     parser.add_argument("--draws", type=int, default=1, help="samples of each scene")
     parser.add_argument("--with", type=json.loads, default={}, help="JSON: settings of both")
+    parser.add_argument("--variants", default=",".join(VARIANTS), help="one of them, or both")
     parser.add_argument("--out", type=Path, help="FOLDER")
     parser.add_argument("--gather", type=Path, nargs=2, metavar=("FOLDER", "ROWS"))
     args = parser.parse_args()
@@ -235,7 +239,11 @@ def main() -> None:
         return
 
     set_threads(1)
-    out, same = args.out.resolve(), (args.preset, vars(args)["with"], args.draws)
+    variants = tuple(args.variants.split(","))
+    if unknown := set(variants) - set(VARIANTS):
+        raise InputError(f"no variant '{unknown.pop()}'", "--variants", f"say {list(VARIANTS)}")
+    out = args.out.resolve()
+    same = (args.preset, vars(args)["with"], args.draws, variants)
     if args.suite:
         scenes = make_suite(args.suite, out / "scenes", args.sets and args.sets.split(","))
         for photos in progress(scenes, "parsimony"):

@@ -22,6 +22,7 @@ from benchmarks.stability.limits import (
     methods_in,
     relight,
 )
+from benchmarks.stability.scenes import scene_name
 from benchmarks.study.methods import OURS
 from pipeline.base.errors import run_stage
 from pipeline.base.files import read_json
@@ -111,9 +112,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     found = read_json(args.rows)
-    data = found.get("data", found)
-    for base in bases_in(data):
-        page(data, base, args.out / f"stability_{base}")
+    rows = found.get("data", found)["rows"]
+    for size in dict.fromkeys(row["size"] for row in rows):
+        data = {"rows": [row for row in rows if row["size"] == size]}
+        for base in bases_in(data):
+            page(data, base, args.out / f"stability_{scene_name(size, base)}")
 
 
 if __name__ == "__main__":

@@ -30,9 +30,9 @@ def stability_cures() -> str:
     return stability.cures(*found) + source("stability_before") + source("stability_after")
 
 
-def stability_table(make: Callable[[dict], str]) -> Callable[[], str]:
+def stability_table(make: Callable[[dict], str], file: str) -> Callable[[], str]:
     """A table of the stability suite, from its committed rows."""
-    return lambda: make(results("stability")["data"]) + source("stability")
+    return lambda: make(results(file)["data"]) + source(file)
 
 
 def parsimony(make: Callable[[list[dict]], str], file: str) -> Callable[[], str]:
@@ -82,7 +82,9 @@ TABLES: dict[str, Callable[[], str]] = {
     **priors.TABLES,
     **hardening.TABLES,
     **study_pages.TABLES,
-    **{name: stability_table(make) for name, make in stability.TABLES.items()},
+    **{name: stability_table(make, "stability") for name, make in stability.TABLES.items()},
+    "stability_s_limits": stability_table(stability.breaking_points, "stability_s"),
+    "stability_s_ends": stability_table(stability.side_by_side, "stability_s"),
     "stability_cures": stability_cures,
     **of_surfaces(),
     **of_assets(),

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.parsimony import carried
+from benchmarks import parsimony
+from benchmarks.parsimony import Job, carried
 from benchmarks.parsimony_tables import (
     by_scene,
     coverage,
@@ -12,6 +13,7 @@ from benchmarks.parsimony_tables import (
     share,
     summary,
 )
+from pipeline.base.files import read_json
 from pipeline.render.renderer import Explanation
 
 
@@ -97,3 +99,17 @@ def test_a_constant_map_counts_as_one_number():
     ramp = np.linspace(0, 1, 64, dtype=np.float32).reshape(8, 8)
     found = carried(Explanation(light, color, np.full((8, 8), 0.3, np.float32), ramp))
     assert found == {"base_color": 768, "light": 96, "roughness": 1, "metallic": 64}
+
+
+def test_a_row_has_the_variants_that_were_asked_for(tmp_path, monkeypatch):
+    """One alone, then both: the row is made anew, for it lacks one."""
+    made = []
+    monkeypatch.setattr(parsimony, "made_by", lambda *_: 0.0)
+    monkeypatch.setattr(
+        parsimony, "variant_row", lambda job, here, *_: made.append(here.name) or {}
+    )
+    ask = lambda *which: parsimony.make_row(Job("a", {}, None, "draft", {}, 1, which), tmp_path)
+    assert read_json(ask("chosen")).keys() >= {"chosen"} and made == ["chosen"]
+    assert "fixed" not in read_json(ask("chosen")) and made == ["chosen"]
+    assert read_json(ask("fixed", "chosen")).keys() >= {"fixed", "chosen"}
+    assert made == ["chosen", "fixed", "chosen"]
