@@ -3,19 +3,18 @@
 Rows i of surface point p in region r, per channel:
 
     y_i = a_p U_i + W_i + e_i              what the lobes see of the light (lobes.py)
-    a_p ~ N(mu_r, tau_r^2 mu_r^2) on [0, c_p]
+    a_p ~ N(mu_r, tau_r^2 mu_r^2) on [0, ALBEDO_MAX]
     e_i ~ N(0, eta^2 (y_i + SHADE)^2 / lambda_i),    lambda_i ~ Gamma(NU / 2, NU / 2)
 
-A point's base colour varies about its region's mean, is positive and stays below the point's
-ceiling c_p; errors are Student's t, so that outliers count less. With v = tau^2 mu^2 and D the
-errors' variances the rows of a point are y_p ~ N(mu U + W, D + v U U'), in closed form by the
-rank-one identities, times the probability that a_p is possible given y_p over that of a_p > 0
-without the photos: a light too dim for the brightest points is no explanation. The ceiling bounds
-mean and points together: p(mu, a) ~ p(mu) N(a; mu, v) below it. With a normal distribution cut off
-for every mu by itself, colours that nature keeps within bounds, as it does, would be explained best
-by a light so dim that their bound is the ceiling. A row is a mean over a patch; the patch's
-brightest pixels reach ALBEDO_MAX when its mean is at c_p (`contrast`). A region of one colour tells
-of the light by its shading, a busy texture does not, and the data decide which it is.
+A point's base colour varies about its region's mean, is positive and stays below ALBEDO_MAX; errors
+are Student's t, so that outliers count less. With v = tau^2 mu^2 and D the errors' variances the
+rows of a point are y_p ~ N(mu U + W, D + v U U'), in closed form by the rank-one identities, times
+the probability that a_p is possible given y_p over that of a_p > 0 without the photos: a light too
+dim for the brightest points is no explanation. The bound holds for mean and points together:
+p(mu, a) ~ p(mu) N(a; mu, v) below it. With a normal distribution cut off for every mu by itself,
+colours that nature keeps within bounds, as it does, would be explained best by a light so dim that
+their bound is ALBEDO_MAX. A region of one colour tells of the light by its shading, a busy texture
+does not, and the data decide which it is.
 
 Neighbouring rows err together (a wrong normal, a wrong camera): the log-likelihood is divided by
 the design effect kappa, measured from residuals (noise.py), and every point has a weight of its own
@@ -41,23 +40,17 @@ from pipeline.render.rows import Rows
 from pipeline.render.surroundings import Sightings
 from pipeline.render.transport import Transport
 
-# quantile of a patch's pixels whose base colour must be possible
-BRIGHT = 0.9
-# by how much that quantile is above the mean, at most places, where all is of one base colour: what
-# shading does to a patch
-SHADING = 1.1
-
 
 @dataclass(frozen=True)
 class RowData:
     """What a draw is made from, and does not change in it.
 
     observed (n, 3): radiance of the rows; clipped (n, 3): whether that is a lower bound;
-    region (p,): of every point; ceiling (p, 3): of its base colour; point_weight (p,): how much its
-    rows count in this draw; light_rows: rows of the light that the operator resolves;
-    bounces: how many surface interactions light has behind it at most, as the path tracer's;
-    neighbours: which points of a region prefer to be alike; sightings: what photos show of the
-    light itself; told (n,): whether a row counts, or is kept to judge by (`thinning.explained`).
+    region (p,): of every point; point_weight (p,): how much its rows count in this draw;
+    light_rows: rows of the light that the operator resolves; bounces: how many surface interactions
+    light has behind it at most, as the path tracer's; neighbours: which points of a region prefer
+    to be alike; sightings: what photos show of the light itself; told (n,): whether a row counts,
+    or is kept to judge by (`thinning.explained`).
     """
 
     transport: Transport
@@ -66,7 +59,6 @@ class RowData:
     observed: np.ndarray
     clipped: np.ndarray
     region: np.ndarray
-    ceiling: np.ndarray
     point_weight: np.ndarray
     light_rows: int
     bounces: int
@@ -83,8 +75,8 @@ class RowData:
         region: np.ndarray,
         bounces: int,
     ) -> RowData:
-        """Rows of `transport`, none of them saturated, all points of one weight, below
-        ALBEDO_MAX and by themselves.
+        """Rows of `transport`, none of them saturated, all points of one weight and by
+        themselves.
         """
         points = len(region)
         return cls(
@@ -94,7 +86,6 @@ class RowData:
             observed=observed.astype(np.float64),
             clipped=np.zeros(observed.shape, bool),
             region=region,
-            ceiling=np.full((points, 3), ALBEDO_MAX),
             point_weight=np.ones(points),
             light_rows=transport.h,
             bounces=bounces,
@@ -215,7 +206,7 @@ class RowModel:
         s = self.thinned(precision * rest**2)
         all_q = self.thinned(self.precision * U * U) if self.data.clipped.any() else q
 
-        possible = log_possible(*self.colors(q, g, materials), self.data.ceiling)
+        possible = log_possible(*self.colors(q, g, materials))
         positive = special.log_ndtr(1 / materials.spread)[self.data.region, None]
         fit = -0.5 * (s - v * g * g / (1 + v * q))
         return (fit - 0.5 * np.log1p(v * all_q) + possible - positive).sum(1)
@@ -223,15 +214,14 @@ class RowModel:
     def draw_colors(
         self, U: np.ndarray, W: np.ndarray, materials: RegionMaterials, rng: np.random.Generator
     ) -> np.ndarray:
-        """Base colour of every point (p, 3) given everything else, within [0, ceiling]."""
+        """Base colour of every point (p, 3) given everything else, within [0, ALBEDO_MAX]."""
         precision = self.counted(U, W, materials)
         sums = self.sums(U, self.rest(U, W, materials), precision, 1.0)
         mean, variance = self.colors(*sums, materials)
         deviation = np.sqrt(variance)
-        ceiling = self.data.ceiling
-        low, high = (special.ndtr((edge - mean) / deviation) for edge in (0.0, ceiling))
+        low, high = (special.ndtr((edge - mean) / deviation) for edge in (0.0, ALBEDO_MAX))
         drawn = np.clip(low + rng.random(low.shape) * (high - low), 1e-9, 1 - 1e-9)
-        return np.clip(mean + deviation * special.ndtri(drawn), 0.0, ceiling)
+        return np.clip(mean + deviation * special.ndtri(drawn), 0.0, ALBEDO_MAX)
 
     def misfit(
         self, U: np.ndarray, W: np.ndarray, colors: np.ndarray
@@ -246,29 +236,12 @@ class RowModel:
         return np.where(explained, 0, relative), explained
 
 
-def log_possible(mean: np.ndarray, variance: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
-    """Log-probability that normal base colours lie in [0, ceiling], accurate far outside too."""
+def log_possible(mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Log-probability that normal base colours lie in [0, ALBEDO_MAX], accurate far outside too."""
     deviation = np.sqrt(np.maximum(variance, 1e-10))
     low = -mean / deviation
-    high = (ceiling - mean) / deviation
+    high = (ALBEDO_MAX - mean) / deviation
     # log_ndtr is accurate below 0: mirror the interval where it lies above
     low, high = np.where(low > 0, -high, low), np.where(low > 0, -low, high)
     upper = special.log_ndtr(high)
     return upper + np.log1p(-np.exp(special.log_ndtr(low) - upper))
-
-
-def contrast(rows: Rows, rgb: np.ndarray) -> np.ndarray:
-    """How much brighter than the mean of its patch the BRIGHT quantile of a row's pixels is, in
-    that row of every point where it is least, beyond what SHADING does, (p, 3), at least 1; rgb
-    (observations, 3).
-
-    A spot of brighter base colour is bright in every photo; what a glossy surface mirrors is
-    elsewhere in the next one.
-    """
-    patch = rows.patch
-    if patch is None:
-        raise ValueError("these rows are single pixels: there is no patch to compare with")
-    mean = np.repeat(patch @ rgb, np.diff(patch.indptr), axis=0)
-    ratio = np.split(rgb[patch.indices] / np.maximum(mean, 1e-6), patch.indptr[1:-1])
-    of_rows = np.array([np.quantile(r, BRIGHT, axis=0) for r in ratio])
-    return np.maximum(np.minimum.reduceat(of_rows, rows.starts) / SHADING, 1.0)

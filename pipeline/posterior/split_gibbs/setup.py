@@ -16,7 +16,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from pipeline.base.config import Sample
-from pipeline.posterior.problem import ALBEDO_MAX, Problem
+from pipeline.posterior.problem import Problem
 from pipeline.posterior.random_numbers import generators
 from pipeline.posterior.split_gibbs.coherence import Neighbours
 from pipeline.posterior.split_gibbs.light_codes import COMPONENTS, Decoder, Modes, ModeUnknowns
@@ -24,7 +24,7 @@ from pipeline.posterior.split_gibbs.likelihood import Mixer
 from pipeline.posterior.split_gibbs.lobes import LobeTable
 from pipeline.posterior.split_gibbs.normal_spread import spreads_about
 from pipeline.posterior.split_gibbs.regions import features, group, texel_regions
-from pipeline.posterior.split_gibbs.row_model import RowData, contrast
+from pipeline.posterior.split_gibbs.row_model import RowData
 from pipeline.posterior.split_gibbs.state import Noise, Randomness, RegionMaterials, State
 from pipeline.posterior.textures import gather
 from pipeline.prior.gaussian import GaussianPrior
@@ -166,7 +166,6 @@ def row_data(
         clipped=patch @ observations.clipped > 0,
         point_weight=block_weights(position, rng.numpy),
         neighbours=Neighbours.of(position, features(color), region),
-        ceiling=ALBEDO_MAX / contrast(rows, observations.rgb),
         sightings=observations.surroundings.sightings,
     )
 

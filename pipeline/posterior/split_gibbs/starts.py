@@ -160,7 +160,6 @@ def subset(data: RowData, points: np.ndarray, light_rows: int) -> RowData:
         observed=data.observed[rows],
         clipped=data.clipped[rows],
         region=data.region[points],
-        ceiling=data.ceiling[points],
         point_weight=data.point_weight[points],
         told=data.told[rows],
         neighbours=Neighbours.none(len(points)),

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.posterior.problem import ALBEDO_MAX
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.lobes import LobeTable
 from pipeline.posterior.split_gibbs.row_model import RowData
@@ -31,10 +30,9 @@ def rows(transport) -> RowLikelihood:  # noqa: F811
     data = replace(
         RowData.plain(transport, LobeTable.trace(transport, 0.2, 0), observed, region, 1),
         point_weight=rng.uniform(0.3, 2, POINTS),
-        ceiling=ALBEDO_MAX / rng.uniform(1, 1.6, (POINTS, 3)),
     )
     materials = RegionMaterials(
-        color=rng.uniform(0.2, 0.6, (2, 3)),  # below every ceiling
+        color=rng.uniform(0.2, 0.6, (2, 3)),
         spread=np.array([0.1, 0.5]),
         roughness=np.array([6, 16]),
         metallic=np.array([0.0, 0.8]),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from pipeline.posterior.problem import SHADE
+from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.posterior.split_gibbs.noise import (
     NU,
     channel_effect,
@@ -63,16 +63,16 @@ def uniform_p(values: np.ndarray) -> float:
 
 def test_colours_are_drawn_from_their_conditional(rows, light):
     """Every point's colour through the cumulated density of N(a; mu, v) N(y; a U + W, D kappa) on
-    [0, ceiling], summed over a grid: uniform over all points and draws.
+    [0, ALBEDO_MAX], summed over a grid: uniform over all points and draws.
     """
     rng, (U, W) = numpy_rng(0), rows.predict(light)
     data, noise, materials = rows.data, rows.noise, rows.materials
     draws = np.stack([rows.model.draw_colors(U, W, materials, rng) for _ in range(100)])
-    assert draws.min() >= 0 and (draws <= data.ceiling).all()
+    assert draws.min() >= 0 and draws.max() <= ALBEDO_MAX
     uniform = np.empty_like(draws)
     for p, c in np.ndindex(draws.shape[1:]):
         k, r = data.rows.point == p, data.region[p]
-        a = np.linspace(0, data.ceiling[p, c], 4001)
+        a = np.linspace(0, ALBEDO_MAX, 4001)
         mu, observed = materials.color[r, c], data.observed[k, c]
         error = (noise.scale * (observed + SHADE)) ** 2 / noise.weight[k]
         D = noise.design_effect * error
@@ -120,7 +120,7 @@ def test_drawn_colours_and_noise_recover_the_truth(rows, light):
     data, materials = rows.data, rows.materials
     spread = materials.spread[data.region, None]
     truth = materials.color[data.region] * (1 + spread * rng.normal(size=(40, 3)))
-    truth = np.clip(truth, 0.02, 0.9 * data.ceiling)
+    truth = np.clip(truth, 0.02, 0.9 * ALBEDO_MAX)
     clean = truth[data.rows.point] * U + W
     weight = rng.gamma(NU / 2, 2 / NU, size=(len(clean), 1))
     error = 0.05 * rng.normal(size=clean.shape) / np.sqrt(weight)

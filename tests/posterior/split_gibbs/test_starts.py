@@ -90,7 +90,7 @@ def test_some_rows_are_those_of_their_points(rows):
     assert (points[some.rows.point] == data.rows.point[kept]).all()
     assert (some.observed == data.observed[kept]).all()
     assert (some.rows.observation == data.rows.observation[kept]).all()
-    for name in ("region", "point_weight", "ceiling"):
+    for name in ("region", "point_weight"):
         assert (getattr(some, name) == getattr(data, name)[points]).all()
     for whole, part in zip(data.lobes.direct, some.lobes.direct):
         assert torch.allclose(part, whole[:, torch.from_numpy(np.flatnonzero(kept))])
