@@ -83,6 +83,8 @@ TABLES: dict[str, Callable[[], str]] = {
     **hardening.TABLES,
     **study_pages.TABLES,
     **{name: stability_table(make, "stability") for name, make in stability.TABLES.items()},
+    "stability_s_limits": stability_table(stability.breaking_points, "stability_s"),
+    "stability_s_ends": stability_table(stability.side_by_side, "stability_s"),
     "stability_cures": stability_cures,
     **of_surfaces(),
     **of_assets(),
