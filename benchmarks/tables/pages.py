@@ -58,7 +58,7 @@ def of_assets() -> dict[str, Callable[[], str]]:
         "parsimony_photos_sets": parsimony(parsimony_tables.by_scene, "parsimony_photos"),
         "parsimony_draws": parsimony(parsimony_tables.summary, "parsimony_draws"),
         "parsimony_draws_scenes": parsimony(parsimony_tables.by_scene, "parsimony_draws"),
-        "coverage": parsimony(parsimony_tables.coverage_by_scene, "parsimony_draws"),
+        "coverage": parsimony(parsimony_tables.coverage_by_scene, "coverage"),
         "ladder": lambda: ladder_tables.photos(rows_of("ladder")) + source("ladder"),
         "ladder_truth": lambda: (
             ladder_tables.truths(rows_of("ladder_truth")) + source("ladder_truth")
