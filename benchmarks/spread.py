@@ -55,7 +55,13 @@ from pipeline.posterior.split_gibbs.light_moves import (
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.lobes import TRACED, LobeTable
 from pipeline.posterior.split_gibbs.row_model import RowData
-from pipeline.posterior.split_gibbs.sampler import FIRST, FIRST_SWEEPS, LAST, SMOOTH
+from pipeline.posterior.split_gibbs.sampler import (
+    FIRST,
+    FIRST_SWEEPS,
+    KIND_SWEEPS,
+    LAST,
+    SMOOTH,
+)
 from pipeline.posterior.split_gibbs.state import (
     Noise,
     Randomness,
@@ -159,7 +165,7 @@ def drawn(data: RowData, state: State, prior, settings: Sample, seed: int) -> np
     modes = Modes(gaussian, gaussian, COMPONENTS, data.light_rows)
     unknowns = ModeUnknowns.seen(modes, gaussian.flat_mean)
     state = replace(state, coefficients=torch.zeros(1, COMPONENTS))
-    for _ in range(FIRST_SWEEPS):
+    for _ in range(KIND_SWEEPS + FIRST_SWEEPS):
         state = run(
             rng,
             state,

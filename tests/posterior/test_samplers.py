@@ -4,6 +4,7 @@ alone.
 
 import pickle
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -15,6 +16,8 @@ from pipeline.base.errors import InputError
 from pipeline.posterior.draw_facts import DrawFacts
 from pipeline.posterior.samplers import SAMPLERS, Sampler
 from pipeline.posterior.split_gibbs import sampler
+from pipeline.posterior.split_gibbs.light_codes import CodeLikelihood
+from pipeline.posterior.split_gibbs.light_moves import gaussian_light, likely_light
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.sampler import begun, gaussian_sweeps
 from pipeline.posterior.split_gibbs.setup import set_up
@@ -89,29 +92,81 @@ def test_kernels_change_no_state_they_are_given(problem, start):
     assert RowLikelihood.of(model.mixer, ends[0]).value(light) != value
 
 
-def test_sweeps_are_taken_by_the_starts_that_are_ahead(monkeypatch):
-    """Starts of known odds: one that is far behind takes no sweep, nor does a fifth one that is
-    near; the better half goes on, so that one which gains late, but first loses, is not taken.
+@pytest.fixture
+def raced(monkeypatch):
+    """Names of the states that took sweeps; a state is its odds, its name, whether it is metal, and
+    what a sweep adds to its odds.
     """
-    swept = []
+    names = []
     monkeypatch.setattr(sampler, "log_odds", lambda rng, model, state: state[0])
+    monkeypatch.setattr(sampler, "mostly_metal", lambda model, state: state[2])
 
-    def sweep(rng, model, state, count):
-        swept.append(state[1])
-        return (state[0] + (200.0 if state[1] == "late" else 100.0), state[1])
+    def sweep(rng, model, state, count, light):
+        names.extend([state[1]] * count)
+        return (state[0] + count * state[3], *state[1:])
 
     monkeypatch.setattr(sampler, "gaussian_sweeps", sweep)
+    return names
+
+
+def test_sweeps_are_taken_by_the_starts_that_are_ahead(raced):
+    """One that is far behind takes no sweep, nor does a fifth one that is near."""
     rng = Randomness(numpy_rng(0), torch.Generator())
-    taken = lambda states: (swept.clear(), sampler.best_after_sweeps(rng, None, states)[1])[1]
+    for gap, swept in ((0.5, ["a", "b"]), (1.5, ["a"])):
+        states = [(-gap * sampler.BEHIND, "b", False, 0.0), (0.0, "a", False, 0.0)]
+        sampler.of_better_kind(rng, None, states)
+        assert raced == swept
+        raced.clear()
 
-    for gap, of_second in ((0.5, ["second"]), (1.5, [])):
-        assert taken([(0.0, "first"), (-gap * sampler.BEHIND, "second")]) == "first"
-        assert swept == ["first"] + of_second + ["first"] * (sampler.FIRST_SWEEPS - 1)
+    near = [(-10.0 * k, name, False, 0.0) for k, name in enumerate("abcde")]
+    sampler.of_better_kind(rng, None, near)
+    assert raced == list("abcd")
 
-    near = [(-20.0, "c"), (0.0, "a"), (-30.0, "d"), (-40.0, "e"), (-10.0, "b")]
-    assert taken(near) == "a"
-    assert swept == ["a", "b", "c", "d", "a", "b", "a"]
-    assert taken([(0.0, "a"), (-90.0, "late"), (-10.0, "b")]) == "late"
+
+def test_metal_or_not_is_settled_before_the_rest(raced):
+    """After the first sweep the best state's kind stays, all of it; one is taken after the others,
+    and may have been behind.
+    """
+    rng = Randomness(numpy_rng(0), torch.Generator())
+    states = [
+        (0.0, "metal", True, 0.0),
+        (-20.0, "soon", False, 100.0),
+        (-90.0, "late", False, 150.0),
+    ]
+    stay = sampler.of_better_kind(rng, None, states)
+    assert [name for _, name, _, _ in stay] == ["soon", "late"]
+    raced.clear()
+    assert sampler.best_after_sweeps(rng, None, stay)[1] == "late"
+    assert raced == ["soon"] * sampler.FIRST_SWEEPS + ["late"] * sampler.FIRST_SWEEPS
+
+
+def test_more_than_half_of_the_points_make_a_metal():
+    """Points count, not regions."""
+    model = SimpleNamespace(data=SimpleNamespace(region=np.array([0, 0, 0, 1, 2])))
+    for metallic, metal in (([1, 0, 0], True), ([0, 1, 1], False), ([0.9, 0, 0], True)):
+        state = SimpleNamespace(materials=SimpleNamespace(metallic=np.array(metallic, float)))
+        assert sampler.mostly_metal(model, state) is metal
+
+
+def test_the_likeliest_light_is_likelier_than_every_drawn_one(problem, start):
+    with torch.no_grad():
+        _, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, seeded(0))
+        decoder, unknowns = model.decoder(model.gaussian), model.gaussian_unknowns
+        rows = RowLikelihood.of(model.mixer, state)
+        likelihood = CodeLikelihood(rows, decoder, unknowns, state.log_scale)
+        about = unknowns.about(torch.zeros(1, unknowns.size), len(state.materials))
+
+        def log_density(end) -> float:
+            z = unknowns.join(end.modes, end.materials.color)
+            energy = 0.5 * float((z - about).square().sum()) / unknowns.width**2
+            return likelihood.value(z) - energy
+
+        ends = [
+            kernel(model.mixer, decoder, unknowns)(Randomness(numpy_rng(k), torch_rng(k)), state)[0]
+            for kernel, k in ((likely_light, 0), *((gaussian_light, k) for k in range(4)))
+        ]
+        peak, *drawn = map(log_density, ends)
+        assert peak > max(drawn) and peak > log_density(state)
 
 
 def test_starts_are_judged_by_photos_that_they_were_not_told_of(problem, start):

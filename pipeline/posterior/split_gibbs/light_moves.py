@@ -23,6 +23,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from pipeline.posterior.split_gibbs.gaussian_approximation import approximate
 from pipeline.posterior.split_gibbs.light_codes import (
     CodeLikelihood,
     Decoder,
@@ -91,6 +92,25 @@ def gaussian_light(mixer: Mixer, decoder: Decoder, unknowns: ModeUnknowns) -> Ke
         z, state, info = _drawn(rng, mixer, state, decoder, unknowns, about, state.modes)
         coefficients = unknowns.coefficients(z)
         return replace(state, coefficients=coefficients, code=unknowns.code(coefficients)), info
+
+    return kernel
+
+
+def likely_light(mixer: Mixer, decoder: Decoder, unknowns: ModeUnknowns) -> Kernel:
+    """Kernel: the light and the regions' mean colours at the peak of what `gaussian_light` draws
+    from.
+    """
+
+    def kernel(rng: Randomness, state: State) -> tuple[State, None]:
+        rows = RowLikelihood.of(mixer, state)
+        likelihood = CodeLikelihood(rows, decoder, unknowns, state.log_scale)
+        about = unknowns.about(torch.zeros(1, unknowns.size), len(state.materials))
+        begin = unknowns.join(state.modes, state.materials.color)
+        peak = approximate(likelihood, about, begin, unknowns.width).mode
+        materials = replace(state.materials, color=unknowns.colors(peak))
+        coefficients = unknowns.coefficients(peak)
+        code = unknowns.code(coefficients)
+        return replace(state, materials=materials, coefficients=coefficients, code=code), None
 
     return kernel
 

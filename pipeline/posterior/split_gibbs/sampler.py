@@ -6,6 +6,7 @@ is a function `kernel(rng, state) -> state, info` over a frozen state (state.py)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from pipeline.posterior.problem import Problem
 from pipeline.posterior.split_gibbs.draw_maps import explanation
 from pipeline.posterior.split_gibbs.light_moves import (
     gaussian_light,
+    likely_light,
     noise_gain,
     photo_light,
     prior_light,
@@ -37,7 +39,7 @@ from pipeline.posterior.split_gibbs.material_moves import (
 from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.setup import Model, set_up
 from pipeline.posterior.split_gibbs.starts import FewRows
-from pipeline.posterior.split_gibbs.state import Randomness, RegionMaterials, State, run
+from pipeline.posterior.split_gibbs.state import Kernel, Randomness, RegionMaterials, State, run
 from pipeline.posterior.split_gibbs.thinning import explained, thinning
 from pipeline.prior.gaussian import translated
 from pipeline.prior.protocol import Prior
@@ -48,10 +50,10 @@ from pipeline.render.renderer import Explanation
 FIRST, LAST = 0.15, 0.02
 # noise level of the first smooth sweep: hides all but the largest shapes
 SMOOTH = 0.7
-# sweeps under the Gaussian prior: of the starts, the better half of which goes on after each (every
-# row counts in full: what they leave over shows the noise's correlation), and then with rows
-# thinned (the last sweeps that move the light's brightness freely, so with the errors it has)
-FIRST_SWEEPS, THINNED_SWEEPS = 3, 1
+# sweeps under the Gaussian prior: of the starts, without some photos and then with all (every row
+# counts in full: what they leave over shows the noise's correlation), and then with rows thinned
+# (the last sweeps that move the light's brightness freely, so with the errors it has)
+KIND_SWEEPS, FIRST_SWEEPS, THINNED_SWEEPS = 1, 2, 1
 # starts that take sweeps; one whose log odds are so far below the best's takes none
 MOST, BEHIND = 4, 150.0
 # material steps at a start's light, for colours and noise: it is too smooth to tell of gloss
@@ -110,9 +112,12 @@ def start(rng: Randomness, model: Model, state: State) -> State:
     few = FewRows.over(some.data, gaussian, state.log_scale, settings.start_points, rng.numpy)
     found = few.starts(state.materials, rng.numpy)
 
-    # 2b  sweeps from each; the one stays that explains the other photos better, by the odds
+    # 2b  metal or not, by how well the other photos are explained
     states = [begun(rng, some, state, *materials_and_code) for materials_and_code in found]
-    state = best_after_sweeps(rng, some, states)
+    states = of_better_kind(rng, some, states)
+
+    # 2c  which of these, by how well all photos are
+    state = best_after_sweeps(rng, model, states)
 
     # 3  rows that err together count less
     state, _ = thinning(model)(rng, state)
@@ -136,38 +141,64 @@ def begun(
     return state
 
 
-def best_after_sweeps(rng: Randomness, model: Model, states: list[State]) -> State:
-    """Step 2b: one of the states after the first sweeps, drawn by its odds. The best few go on to
-    the first sweep, and the better half of them after each.
+def of_better_kind(rng: Randomness, model: Model, states: list[State]) -> list[State]:
+    """Step 2b: of the best few states, after a sweep, those that are metal if the best one is, or
+    not if it is not.
     """
     odds = np.array([log_odds(rng, model, state) for state in states])
     near = int((odds > odds.max() - BEHIND).sum())
-    states, odds = best_of(states, odds, min(MOST, near))
-    for _ in range(FIRST_SWEEPS):
-        states = [gaussian_sweeps(rng, model, state, 1) for state in states]
-        odds = np.array([log_odds(rng, model, state) for state in states])
-        states, odds = best_of(states, odds, (len(states) + 1) // 2)
+    states = swept(rng, model, best_of(states, odds, min(MOST, near)), KIND_SWEEPS)
+    odds = np.array([log_odds(rng, model, state) for state in states])
+    metal = np.array([mostly_metal(model, state) for state in states])
+    return [states[k] for k in np.flatnonzero(metal == metal[odds.argmax()])]
+
+
+def best_after_sweeps(rng: Randomness, model: Model, states: list[State]) -> State:
+    """Step 2c: one of the states after more sweeps, drawn by its odds."""
+    states = swept(rng, model, states, FIRST_SWEEPS)
+    odds = np.array([log_odds(rng, model, state) for state in states])
     return states[categorical(odds[None], rng.numpy)[0]]
 
 
-def best_of(states: list[State], odds: np.ndarray, count: int) -> tuple[list[State], np.ndarray]:
-    """The `count` states of the greatest log odds, and these."""
-    best = np.argsort(-odds)[:count]
-    return [states[k] for k in best], odds[best]
+def swept(rng: Randomness, model: Model, states: list[State], count: int) -> list[State]:
+    """Every state after `count` sweeps whose lights are likeliest ones: draws cost more, and tell
+    no more of which state is better.
+    """
+    return [gaussian_sweeps(rng, model, state, count, likely_light) for state in states]
+
+
+def mostly_metal(model: Model, state: State) -> bool:
+    """Whether more than half of the points are of metal."""
+    return bool(state.materials.metallic[model.data.region].mean() > 0.5)
+
+
+def best_of(states: list[State], odds: np.ndarray, count: int) -> list[State]:
+    """The `count` states of the greatest log odds, the best one first."""
+    return [states[k] for k in np.argsort(-odds)[:count]]
 
 
 def log_odds(rng: Randomness, model: Model, state: State) -> float:
-    """Of a state's materials, and of how well it explains the photos it was not told of."""
+    """Of a state's materials, and of how well it explains the photos it was not told of, or all if
+    it was told of all.
+    """
     prior = log_prior(state.materials, model.data.lobes.roughness)
     return explained(rng, model, state) + prior
 
 
-def gaussian_sweeps(rng: Randomness, model: Model, state: State, count: int) -> State:
-    """Sweeps over light, scale, materials, noise, with the light as modes of the Gaussian prior."""
+def gaussian_sweeps(
+    rng: Randomness,
+    model: Model,
+    state: State,
+    count: int,
+    light: Callable[..., Kernel] = gaussian_light,
+) -> State:
+    """Sweeps over light, scale, materials, noise, with the light as modes of the Gaussian prior;
+    `light` makes the kernel that moves it.
+    """
     mixer, gaussian = model.mixer, model.gaussian
     decoder, unknowns = model.decoder(gaussian), model.gaussian_unknowns
     kernels = (
-        gaussian_light(mixer, decoder, unknowns),
+        light(mixer, decoder, unknowns),
         gauge_kernel(mixer, decoder, model.log_scale_centre, lambda _: scale_only),
         material_kernel(mixer, decoder, model.settings.region_steps),
         scale_of_one(gaussian),
