@@ -22,7 +22,7 @@ from benchmarks.study.front import (
     relight_points,
 )
 from benchmarks.study.labels import Labels
-from benchmarks.study.methods import LENGTHS
+from benchmarks.study.methods import LENGTHS, is_ours
 from benchmarks.study.store import ROWS, suite_rows
 from benchmarks.study.tables import scenes_in
 from benchmarks.study.yardstick_tables import means
@@ -32,6 +32,8 @@ PAPER_SECONDS = 1188.0  # a sample of the paper on an A100 (its section 5), 19.8
 COLORS = {"ours": "#b4500f", "others": "#28507d", "front": "#777777"}
 DPI = 130  # of the PNG
 BESIDE = {  # dpi_paper itself, of 100 levels, has no free place beside it
+    "preset_draft": "preset draft",
+    "preset_standard": "preset standard",
     "split_gibbs_draft": "split_gibbs draft",
     "split_gibbs_standard": "standard",
     "split_gibbs_reference": "reference",
@@ -50,7 +52,7 @@ def joined(points: list[Point]) -> set[str]:
 
 
 def color_of(method: str) -> str:
-    return COLORS["ours" if method.startswith("split_gibbs") else "others"]
+    return COLORS["ours" if is_ours(method) else "others"]
 
 
 def name_points(labels: Labels, points: list[Point], across: list[float]) -> None:
@@ -88,7 +90,7 @@ def draw_points(axes: Axes, points: list[Point]) -> None:
             point.seconds,
             point.value,
             yerr=[[point.low], [point.high]],
-            fmt="o" if point.method.startswith("split_gibbs") else "s",
+            fmt="o" if is_ours(point.method) else "s",
             color=color_of(point.method),
             capsize=2,
             lw=1,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.study.methods import METHODS
+from benchmarks.study.methods import is_ours
 from benchmarks.study.tables import methods_in, scene_mean, scenes_in
 from benchmarks.tables.committed import title
 
@@ -13,7 +13,7 @@ def losses(data: dict, theirs: str = "dpi_paper") -> str:
     """For each of our presets: where `theirs` relights better in the mean of the draws, by how many
     dB, and by how many where a factor for each channel is free.
     """
-    ours = [name for name in methods_in(data) if METHODS[name].sampler == "split_gibbs"]
+    ours = [name for name in methods_in(data) if is_ours(name)]
     said = [behind(data, name, theirs) for name in ours]
     return "\n\n".join(said) + "\n"
 

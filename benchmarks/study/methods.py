@@ -18,7 +18,7 @@ class Method:
     """sampler: a key of SAMPLERS; preset: whose section `sample` it has; settings: on top of it;
     drawn: False for a method that finds one optimum and gets one row a scene: what its seeds differ
     by is noise of pixels and paths, no uncertainty; labelled: it is told whether the light is an
-    indoor one, as its authors do.
+    indoor one, as its authors do; shipped: all of it is the preset's, as users get it.
     """
 
     sampler: str
@@ -26,9 +26,12 @@ class Method:
     settings: dict = field(default_factory=dict)
     drawn: bool = True
     labelled: bool = False
+    shipped: bool = False
 
 
 METHODS = {
+    "preset_draft": Method("split_gibbs", "draft", shipped=True),
+    "preset_standard": Method("split_gibbs", "standard", shipped=True),
     "split_gibbs_draft": Method("split_gibbs", "draft"),
     "split_gibbs_standard": Method("split_gibbs", "standard"),
     "split_gibbs_reference": Method("split_gibbs", "reference"),
@@ -54,6 +57,7 @@ METHODS = {
 }
 # a sampler's runs of growing length, whose quality a chart follows against their time
 LENGTHS = {
+    "preset": ("preset_draft", "preset_standard"),
     "split_gibbs": tuple(f"split_gibbs_{preset}" for preset in ("draft", "standard", "reference")),
     "dpi_paper": ("dpi_paper_10", "dpi_paper_30", "dpi_paper", "dpi_paper_300", "dpi_paper_1000"),
     "dpi_code": ("dpi_code", "dpi_code_1000"),
@@ -61,6 +65,11 @@ LENGTHS = {
 # what every method has to beat (benchmarks/study/yardsticks.py)
 YARDSTICKS = ("unlit", "unlit_scaled", "diffuse")
 assert {method.sampler for method in METHODS.values()} == set(SAMPLERS)
+
+
+def is_ours(name: str) -> bool:
+    """Whether a row, a method's or a yardstick's, is of this project's own sampler."""
+    return name in METHODS and METHODS[name].sampler == "split_gibbs"
 
 
 def methods_named(names: list[str]) -> list[str]:
@@ -74,9 +83,12 @@ def methods_named(names: list[str]) -> list[str]:
 def scene_for(name: str, photos: str) -> Scene:
     """The configuration of a method's draws of a scene. All share the stages before, of the preset
     draft; refinement is the base colour in closed form, so that each method's own roughness and
-    metallic are judged.
+    metallic are judged. Of a shipped preset nothing is changed.
     """
     method = METHODS[name]
+    if method.shipped:
+        return parse_scene({"photos": photos, "preset": method.preset}, "benchmarks.study")
+
     label = LABELS.get(photos.rpartition("__")[2].partition("_")[0])
     told = {"label": label} if method.labelled else {}
     sample = read_yaml(PRESET_FOLDER / f"{method.preset}.yaml").get("sample", {})

@@ -21,10 +21,14 @@ import numpy as np
 
 from benchmarks.study.methods import METHODS, methods_named, scene_for
 from benchmarks.study.store import made_here, row_file
+from pipeline.base.config import Scene
 from pipeline.base.errors import run_stage
 from pipeline.base.files import atomic_path, write_json
 from pipeline.base.progress import Bar
 from pipeline.base.runtime import rays_made, set_threads
+from pipeline.posterior.choose.chosen import Chosen, chosen_scene
+from pipeline.posterior.choose.decide import Evidence, choose
+from pipeline.posterior.fit import fit
 from pipeline.posterior.load import load_problem
 from pipeline.posterior.refine import refine, units
 from pipeline.posterior.samplers import SAMPLERS
@@ -84,6 +88,20 @@ def draw(method: str, scene, folders: dict[str, Path], seed: int) -> tuple[Expla
     return final, {"sample": sampling.cost, "refine": refining.cost}
 
 
+def settled(scene: Scene, folders: dict[str, Path], own: Path) -> tuple[Scene, dict]:
+    """A shipped preset's scene with what the choose stage decides; what this and the fit that comes
+    of it cost, once for all draws. The fit is saved in the folder `own`.
+    """
+    surface = [folders[s] for s in ("observe", "poses", "atlas", "mesh")]
+    with Clock() as choosing:
+        Chosen(choose(Evidence(*surface), scene)["settings"]).save(own)
+        scene = chosen_scene(scene, own)
+    with Clock() as fitting:
+        problem = load_problem(*surface, scene, scene.fit.texture, scene.render.light_height)
+        fit(problem, scene.fit)[0].save(own)
+    return scene, {"choose": choosing.cost, "fit": fitting.cost}
+
+
 def keep_pictures(path: Path, scored: Scored, x: Explanation) -> None:
     """What figures of several draws need."""
     half = {f"picture/{name}": pair.astype(np.float16) for name, pair in scored.pictures.items()}
@@ -115,6 +133,11 @@ def measure(
     name = photos.name
     folders = {s: work / name / s for s in ("observe", "poses", "atlas", "mesh", "fit")}
     scene = scene_for(method, str(photos))
+    once = {}
+    if METHODS[method].shipped:
+        folders["fit"] = draws / name / method / "fit"
+        folders["fit"].mkdir(parents=True, exist_ok=True)
+        scene, once["once"] = settled(scene, folders, folders["fit"])
     truth = truth_of_work(photos, work / name)
     height = len(truth.known_light())
     renderer = Renderer(folders["atlas"] / "mesh_uv.ply", scene.refine.texture, height, MAX_DEPTH)
@@ -138,6 +161,7 @@ def measure(
             "views": scored.views,
             "white": truth.white,
             "cost": cost,
+            **once,
             "peak_gib": round(peak, 2),
         }
         write_json(file, (about or {}) | row)

@@ -41,6 +41,7 @@ from benchmarks.study.tables import (
     shares_held,
 )
 from benchmarks.study.yardstick_tables import means
+from pipeline.base.config import parse_scene
 from pipeline.base.errors import InputError
 from pipeline.base.files import write_json
 from pipeline.render.declared import METRICS
@@ -290,6 +291,10 @@ def test_every_sampler_is_a_method_and_shares_what_is_not_its_own(tmp_path):
     draft = scenes[OURS]
     for name, scene in scenes.items():
         assert scene.sample.method == METHODS[name].sampler
+        if METHODS[name].shipped:
+            whole = {"photos": str(tmp_path), "preset": METHODS[name].preset}
+            assert scene == parse_scene(whole, name) and scene.choose.enabled
+            continue
         for part in ("capture", "mesh", "atlas", "observe", "render", "fit", "refine"):
             assert getattr(scene, part) == getattr(draft, part), name
     assert draft.refine.gloss == "maps"  # as drawn: a method's own

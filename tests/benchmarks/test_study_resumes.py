@@ -5,7 +5,7 @@ import pytest
 from benchmarks.make_scene import Options, make_scene
 from benchmarks.stability.chain import chain
 from benchmarks.study import methods, rows
-from benchmarks.study.methods import scene_for
+from benchmarks.study.methods import Method, scene_for
 from benchmarks.study.store import TOGETHER, row_file, seeds_in
 from benchmarks.study.together import join
 from benchmarks.suite.lights import make_light
@@ -13,6 +13,8 @@ from benchmarks.suite.objects import write_object
 from pipeline.base.config import Fit
 from pipeline.base.files import read_json, write_json
 from pipeline.base.images import write_exr
+from pipeline.posterior.choose.chosen import chosen_scene
+from pipeline.render.renderer import Explanation
 
 pytestmark = pytest.mark.slow
 SIDE = 32
@@ -75,3 +77,28 @@ def test_no_row_is_made_twice(photos, tmp_path, monkeypatch, capsys):
     together()
     assert "map/3.npz" in capsys.readouterr().err
     assert (place / TOGETHER).stat().st_mtime_ns == joined
+
+
+def test_a_shipped_preset_is_measured_as_users_get_it(photos, tmp_path, monkeypatch):
+    """With what choose decides, a fit of its own by that, and the preset's refinement; what is made
+    once for all draws is no part of a draw's cost. `map` stands for the sampler: it is fast.
+    """
+    refined = []
+    refine = rows.refine
+
+    def watched(problem, drawn, settings, *rest):
+        refined.append(settings)
+        return refine(problem, drawn, settings, *rest)
+
+    monkeypatch.setattr(rows, "refine", watched)
+    monkeypatch.setitem(methods.METHODS, "preset_draft", Method("map", "draft", shipped=True))
+    draws = tmp_path / "draws"
+    rows.measure("preset_draft", photos, tmp_path / "work", [0], tmp_path / "rows", draws)
+
+    fit = draws / photos.name / "preset_draft" / "fit"
+    chosen = chosen_scene(scene_for("preset_draft", str(photos)), fit)
+    assert refined == [chosen.refine] and chosen.refine.gloss == "tested"
+    assert chosen.refine.texture <= 2 * SIDE < scene_for("preset_draft", str(photos)).refine.texture
+    assert len(Explanation.load(fit).base_color) == chosen.fit.texture
+    row = read_json(row_file(tmp_path / "rows", photos.name, "preset_draft", 0))
+    assert row["cost"].keys() == {"sample", "refine"} and row["once"].keys() == {"choose", "fit"}
