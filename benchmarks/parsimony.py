@@ -37,7 +37,7 @@ from benchmarks.study.rows import keep_pictures
 from benchmarks.study.together import of_draws
 from benchmarks.suite.make import make_suite
 from pipeline.base.config import load_scene, merge, slice_of
-from pipeline.base.errors import InputError, run_stage
+from pipeline.base.errors import InputError, nearest, run_stage
 from pipeline.base.files import read_json, write_json
 from pipeline.base.progress import progress
 from pipeline.base.runtime import set_threads
@@ -241,7 +241,8 @@ def main() -> None:
     set_threads(1)
     variants = tuple(args.variants.split(","))
     if unknown := set(variants) - set(VARIANTS):
-        raise InputError(f"no variant '{unknown.pop()}'", "--variants", f"say {list(VARIANTS)}")
+        name = unknown.pop()
+        raise InputError(f"there is no variant '{name}'", "--variants", nearest(name, VARIANTS))
     out = args.out.resolve()
     same = (args.preset, vars(args)["with"], args.draws, variants)
     if args.suite:

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.stability.chain import fitted
 from benchmarks.study.methods import METHODS, methods_named, scene_for
 from benchmarks.study.store import made_here, row_file
 from pipeline.base.config import Scene
@@ -28,7 +29,6 @@ from pipeline.base.progress import Bar
 from pipeline.base.runtime import rays_made, set_threads
 from pipeline.posterior.choose.chosen import Chosen, chosen_scene
 from pipeline.posterior.choose.decide import Evidence, choose
-from pipeline.posterior.fit import fit
 from pipeline.posterior.load import load_problem
 from pipeline.posterior.refine import refine, units
 from pipeline.posterior.samplers import SAMPLERS
@@ -97,8 +97,7 @@ def settled(scene: Scene, folders: dict[str, Path], own: Path) -> tuple[Scene, d
         Chosen(choose(Evidence(*surface), scene)["settings"]).save(own)
         scene = chosen_scene(scene, own)
     with Clock() as fitting:
-        problem = load_problem(*surface, scene, scene.fit.texture, scene.render.light_height)
-        fit(problem, scene.fit)[0].save(own)
+        fitted(folders, scene, own)
     return scene, {"choose": choosing.cost, "fit": fitting.cost}
 
 
@@ -133,11 +132,12 @@ def measure(
     name = photos.name
     folders = {s: work / name / s for s in ("observe", "poses", "atlas", "mesh", "fit")}
     scene = scene_for(method, str(photos))
-    once = {}
+    about = about or {}
     if METHODS[method].shipped:
         folders["fit"] = draws / name / method / "fit"
         folders["fit"].mkdir(parents=True, exist_ok=True)
-        scene, once["once"] = settled(scene, folders, folders["fit"])
+        scene, once = settled(scene, folders, folders["fit"])
+        about = about | {"once": once}
     truth = truth_of_work(photos, work / name)
     height = len(truth.known_light())
     renderer = Renderer(folders["atlas"] / "mesh_uv.ply", scene.refine.texture, height, MAX_DEPTH)
@@ -161,10 +161,9 @@ def measure(
             "views": scored.views,
             "white": truth.white,
             "cost": cost,
-            **once,
             "peak_gib": round(peak, 2),
         }
-        write_json(file, (about or {}) | row)
+        write_json(file, about | row)
 
 
 def main() -> None:

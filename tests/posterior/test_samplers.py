@@ -17,7 +17,8 @@ from pipeline.posterior.draw_facts import DrawFacts
 from pipeline.posterior.samplers import SAMPLERS, Sampler
 from pipeline.posterior.split_gibbs import sampler
 from pipeline.posterior.split_gibbs.light_codes import CodeLikelihood
-from pipeline.posterior.split_gibbs.light_moves import gaussian_light, likely_light
+from pipeline.posterior.split_gibbs.light_draw import draw_light, likeliest_light
+from pipeline.posterior.split_gibbs.light_moves import gaussian_light
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.sampler import begun, gaussian_sweeps
 from pipeline.posterior.split_gibbs.setup import set_up
@@ -101,7 +102,7 @@ def raced(monkeypatch):
     monkeypatch.setattr(sampler, "log_odds", lambda rng, model, state: state[0])
     monkeypatch.setattr(sampler, "mostly_metal", lambda model, state: state[2])
 
-    def sweep(rng, model, state, count, light):
+    def sweep(rng, model, state, count, place):
         names.extend([state[1]] * count)
         return (state[0] + count * state[3], *state[1:])
 
@@ -161,10 +162,11 @@ def test_the_likeliest_light_is_likelier_than_every_drawn_one(problem, start):
             energy = 0.5 * float((z - about).square().sum()) / unknowns.width**2
             return likelihood.value(z) - energy
 
-        ends = [
-            kernel(model.mixer, decoder, unknowns)(Randomness(numpy_rng(k), torch_rng(k)), state)[0]
-            for kernel, k in ((likely_light, 0), *((gaussian_light, k) for k in range(4)))
-        ]
+        def moved(place, k):
+            kernel = gaussian_light(model.mixer, decoder, unknowns, place)
+            return kernel(Randomness(numpy_rng(k), torch_rng(k)), state)[0]
+
+        ends = [moved(likeliest_light, 0), *(moved(draw_light, k) for k in range(4))]
         peak, *drawn = map(log_density, ends)
         assert peak > max(drawn) and peak > log_density(state)
 

@@ -23,7 +23,6 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from pipeline.posterior.split_gibbs.gaussian_approximation import approximate
 from pipeline.posterior.split_gibbs.light_codes import (
     CodeLikelihood,
     Decoder,
@@ -37,6 +36,8 @@ from pipeline.posterior.split_gibbs.state import Kernel, Randomness, State
 from pipeline.prior.protocol import Prior
 from pipeline.prior.sampling import lights, reverse_diffusion
 from pipeline.prior.value_code import scale_of
+
+PlaceLight = Callable[..., tuple[torch.Tensor, SliceInfo]]  # as `draw_light`
 
 
 def noise_gain(log_spread: float, rho: float) -> float:
@@ -67,13 +68,14 @@ def _drawn(
     unknowns: PixelUnknowns | ModeUnknowns,
     about: torch.Tensor,
     start: torch.Tensor,
+    place: PlaceLight = draw_light,
 ) -> tuple[torch.Tensor, State, SliceInfo]:
-    """z drawn about `about`, begun at `start` (both without colours), and the state with z's mean
-    colours.
+    """z drawn about `about`, begun at `start` (both without colours), or as `place` does, and the
+    state with z's mean colours.
     """
     rows = RowLikelihood.of(mixer, state)
     likelihood = CodeLikelihood(rows, decoder, unknowns, state.log_scale)
-    z, info = draw_light(
+    z, info = place(
         rng,
         likelihood,
         unknowns.about(about, len(state.materials)),
@@ -84,33 +86,16 @@ def _drawn(
     return z, replace(state, materials=materials), info
 
 
-def gaussian_light(mixer: Mixer, decoder: Decoder, unknowns: ModeUnknowns) -> Kernel:
+def gaussian_light(
+    mixer: Mixer, decoder: Decoder, unknowns: ModeUnknowns, place: PlaceLight = draw_light
+) -> Kernel:
     """Kernel: the light as modes of the Gaussian prior, with the regions' mean colours."""
 
     def kernel(rng: Randomness, state: State) -> tuple[State, SliceInfo]:
         about = torch.zeros(1, unknowns.size)
-        z, state, info = _drawn(rng, mixer, state, decoder, unknowns, about, state.modes)
+        z, state, info = _drawn(rng, mixer, state, decoder, unknowns, about, state.modes, place)
         coefficients = unknowns.coefficients(z)
         return replace(state, coefficients=coefficients, code=unknowns.code(coefficients)), info
-
-    return kernel
-
-
-def likely_light(mixer: Mixer, decoder: Decoder, unknowns: ModeUnknowns) -> Kernel:
-    """Kernel: the light and the regions' mean colours at the peak of what `gaussian_light` draws
-    from.
-    """
-
-    def kernel(rng: Randomness, state: State) -> tuple[State, None]:
-        rows = RowLikelihood.of(mixer, state)
-        likelihood = CodeLikelihood(rows, decoder, unknowns, state.log_scale)
-        about = unknowns.about(torch.zeros(1, unknowns.size), len(state.materials))
-        begin = unknowns.join(state.modes, state.materials.color)
-        peak = approximate(likelihood, about, begin, unknowns.width).mode
-        materials = replace(state.materials, color=unknowns.colors(peak))
-        coefficients = unknowns.coefficients(peak)
-        code = unknowns.code(coefficients)
-        return replace(state, materials=materials, coefficients=coefficients, code=code), None
 
     return kernel
 

@@ -6,7 +6,6 @@ is a function `kernel(rng, state) -> state, info` over a frozen state (state.py)
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +15,10 @@ from pipeline.base.config import Sample
 from pipeline.base.progress import Bar
 from pipeline.posterior.problem import Problem
 from pipeline.posterior.split_gibbs.draw_maps import explanation
+from pipeline.posterior.split_gibbs.light_draw import draw_light, likeliest_light
 from pipeline.posterior.split_gibbs.light_moves import (
+    PlaceLight,
     gaussian_light,
-    likely_light,
     noise_gain,
     photo_light,
     prior_light,
@@ -39,7 +39,7 @@ from pipeline.posterior.split_gibbs.material_moves import (
 from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.setup import Model, set_up
 from pipeline.posterior.split_gibbs.starts import FewRows
-from pipeline.posterior.split_gibbs.state import Kernel, Randomness, RegionMaterials, State, run
+from pipeline.posterior.split_gibbs.state import Randomness, RegionMaterials, State, run
 from pipeline.posterior.split_gibbs.thinning import explained, thinning
 from pipeline.prior.gaussian import translated
 from pipeline.prior.protocol import Prior
@@ -145,18 +145,18 @@ def of_better_kind(rng: Randomness, model: Model, states: list[State]) -> list[S
     """Step 2b: of the best few states, after a sweep, those that are metal if the best one is, or
     not if it is not.
     """
-    odds = np.array([log_odds(rng, model, state) for state in states])
+    odds = odds_of(rng, model, states)
     near = int((odds > odds.max() - BEHIND).sum())
     states = swept(rng, model, best_of(states, odds, min(MOST, near)), KIND_SWEEPS)
-    odds = np.array([log_odds(rng, model, state) for state in states])
-    metal = np.array([mostly_metal(model, state) for state in states])
-    return [states[k] for k in np.flatnonzero(metal == metal[odds.argmax()])]
+    best = states[odds_of(rng, model, states).argmax()]
+    metal = mostly_metal(model, best)
+    return [state for state in states if mostly_metal(model, state) == metal]
 
 
 def best_after_sweeps(rng: Randomness, model: Model, states: list[State]) -> State:
     """Step 2c: one of the states after more sweeps, drawn by its odds."""
     states = swept(rng, model, states, FIRST_SWEEPS)
-    odds = np.array([log_odds(rng, model, state) for state in states])
+    odds = odds_of(rng, model, states)
     return states[categorical(odds[None], rng.numpy)[0]]
 
 
@@ -164,7 +164,7 @@ def swept(rng: Randomness, model: Model, states: list[State], count: int) -> lis
     """Every state after `count` sweeps whose lights are likeliest ones: draws cost more, and tell
     no more of which state is better.
     """
-    return [gaussian_sweeps(rng, model, state, count, likely_light) for state in states]
+    return [gaussian_sweeps(rng, model, state, count, likeliest_light) for state in states]
 
 
 def mostly_metal(model: Model, state: State) -> bool:
@@ -175,6 +175,11 @@ def mostly_metal(model: Model, state: State) -> bool:
 def best_of(states: list[State], odds: np.ndarray, count: int) -> list[State]:
     """The `count` states of the greatest log odds, the best one first."""
     return [states[k] for k in np.argsort(-odds)[:count]]
+
+
+def odds_of(rng: Randomness, model: Model, states: list[State]) -> np.ndarray:
+    """Log odds of each state."""
+    return np.array([log_odds(rng, model, state) for state in states])
 
 
 def log_odds(rng: Randomness, model: Model, state: State) -> float:
@@ -190,15 +195,15 @@ def gaussian_sweeps(
     model: Model,
     state: State,
     count: int,
-    light: Callable[..., Kernel] = gaussian_light,
+    place: PlaceLight = draw_light,
 ) -> State:
-    """Sweeps over light, scale, materials, noise, with the light as modes of the Gaussian prior;
-    `light` makes the kernel that moves it.
+    """Sweeps over light, scale, materials, noise, with the light as modes of the Gaussian prior
+    where `place` puts them.
     """
     mixer, gaussian = model.mixer, model.gaussian
     decoder, unknowns = model.decoder(gaussian), model.gaussian_unknowns
     kernels = (
-        light(mixer, decoder, unknowns),
+        gaussian_light(mixer, decoder, unknowns, place),
         gauge_kernel(mixer, decoder, model.log_scale_centre, lambda _: scale_only),
         material_kernel(mixer, decoder, model.settings.region_steps),
         scale_of_one(gaussian),
