@@ -217,11 +217,11 @@ class Render(Section):
     """The forward model of fit, sample and refine."""
 
     max_depth: int = Field(
-        4,
+        8,
         ge=2,
         le=16,
         description="path vertices after the camera (Mitsuba's max_depth): "
-        "4 = light after up to 3 surface interactions",
+        "8 = light after up to 7 surface interactions",
     )
     light_height: int = Field(
         32, ge=4, le=512, description="rows of the lat-long light; columns are twice that"

@@ -258,6 +258,7 @@ class Transport:
             (weight[nodes, cells], (nodes, self.meets[nodes, cells])),
             (len(cosine), len(cosine)),
         )
+        self.ground_light = np.zeros((len(cosine), 3), np.float32)
         if self.ground is not None:
             self.ground_seen = self._look_at(self.ground)
             self.ground_light = np.einsum("qc,qck->qk", weight.astype(np.float32), self.ground_seen)
@@ -432,16 +433,17 @@ class Transport:
         cell_row = np.clip((v * self.grid_rows).astype(int), 0, self.grid_rows - 1)
         return self.cell_solid_angle.reshape(self.grid_rows, -1)[cell_row, 0]
 
-    def exitant(self, light: np.ndarray, albedo: np.ndarray, bounces: int) -> np.ndarray:
-        """Radiance (q, 3) that the nodes give off under `light` (M, 3) and the ground, for diffuse
-        albedo (p, 3) of the points.
+    def irradiance(self, light: np.ndarray) -> np.ndarray:
+        """Of the nodes by a light (M, 3) and the ground, (q, 3), over pi: what white ones give."""
+        return self.sees @ light.astype(np.float32) + self.ground_light
+
+    def exitant(self, irradiance: np.ndarray, albedo: np.ndarray, bounces: int) -> np.ndarray:
+        """Radiance (q, 3) that the nodes give off under `irradiance` (q, 3), for diffuse albedo (p,
+        3) of the points.
 
         bounces: how many reflections the light has behind it at most, the node's own included.
         """
         node_albedo = albedo[self.node_point]
-        irradiance = self.sees @ light.astype(np.float32)
-        if self.ground is not None:
-            irradiance = irradiance + self.ground_light
         once_reflected = node_albedo * irradiance
 
         radiance = once_reflected

@@ -2,7 +2,6 @@
 
 import copy
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -87,40 +86,17 @@ def test_gauge_is_bound_by_what_is_seen(rows, light):  # noqa: F811
     where it is seen.
     """
     matt = replace(rows.materials, metallic=np.zeros(2), spread=np.full(2, 0.5))
-    U, _ = rows.predict(light)
-    seen = SeenLight.of(sighted(light.reshape(8, 16, 3), np.ones((64, 128), bool)), 8)
+    no_highlights = replace(rows.matrices, W=torch.zeros_like(rows.matrices.W))
+    by_object = replace(rows, materials=matt, matrices=no_highlights)
+    sights = sighted(light.reshape(8, 16, 3), np.ones((64, 128), bool))
 
-    def level(seed: int, **known) -> float:
-        rng = numpy_rng(seed)
+    def level(seed: int, likelihood) -> float:
         stay = lambda shift: 0.0 if not shift.any() else -np.inf
-        return draw_gauge(rows.model, U, 0 * U, matt, 0.0, 0.0, stay, 200, rng, **known)[1]
+        return draw_gauge(likelihood, light, 0.0, 0.0, stay, 200, numpy_rng(seed))[1]
 
-    free = np.array([level(seed) for seed in range(4)])
-    bound = np.array([level(seed, seen=lambda g: seen.value(light * g)) for seed in range(4)])
-    assert np.abs(free).max() > 2 * np.abs(bound).max(), (free, bound)
-
-
-def test_gauge_leaves_the_grounds_light_as_it_is(rows, light):  # noqa: F811
-    """Of what the lobes see, only the part that comes from the distant light is scaled."""
-    U, W = rows.predict(light)
-    asked = []
-
-    def point_values(U, W, materials):
-        asked.append((U, W))
-        return np.zeros(1)
-
-    model = SimpleNamespace(point_values=point_values, data=rows.data)
-    ground = 0.25 * U, 0.5 * W
-    everywhere = lambda shift: 0.0
-    rng = numpy_rng(1)
-    draw_gauge(model, U, W, rows.materials, 0.0, 0.0, everywhere, 12, rng, ground)
-    ratios = [(a - ground[0]) / (U - ground[0]) for a, _ in asked]
-    gains = [r.mean(0) for r in ratios]
-    for r, gain in zip(ratios, gains):
-        np.testing.assert_allclose(r, np.broadcast_to(gain, r.shape), rtol=1e-9)
-    for (_, b), gain in zip(asked, gains):
-        np.testing.assert_allclose(b, ground[1] + (W - ground[1]) * gain, rtol=1e-9)
-    assert np.ptp(gains, axis=0).min() > 0.01
+    free = np.array([level(seed, by_object) for seed in range(4)])
+    seen = np.array([level(seed, with_data(by_object, sightings=sights)) for seed in range(4)])
+    assert np.abs(free).max() > 2 * np.abs(seen).max(), (free, seen)
 
 
 def test_fit_recovers_a_light_better_that_it_sees(problem, start, toy):

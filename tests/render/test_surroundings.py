@@ -62,7 +62,8 @@ def test_rows_on_a_ground_are_those_of_the_path_tracer(
     L = light.reshape(-1, 3)
 
     def predicted(with_ground: float) -> np.ndarray:
-        nodes = transport.with_ground(transport.exitant(L, np.full((50, 3), color), 2))
+        off_object = transport.exitant(transport.irradiance(L), np.full((50, 3), color), 2)
+        nodes = transport.with_ground(off_object)
         nodes[-3:] *= with_ground
         U, W = mix(F, metallic)
         off_U, off_W = mix(off, metallic)

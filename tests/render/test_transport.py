@@ -214,12 +214,13 @@ def test_light_between_parts_adds_up():
     form.
     """
     t = object.__new__(Transport)
-    t.ground = None
     t.node_point, t.sees = np.array([0, 1]), np.array([[0.5], [0.5]])
+    t.ground_light = np.zeros((2, 3))
     t.between = np.array([[0.0, 0.5], [0.5, 0.0]])
-    B = t.exitant(np.ones((1, 3)), np.full((2, 3), 0.6), 60)
+    irradiance = t.irradiance(np.ones((1, 3)))
+    B = t.exitant(irradiance, np.full((2, 3), 0.6), 60)
     np.testing.assert_allclose(B, 0.3 / (1 - 0.3), atol=1e-9)
-    np.testing.assert_allclose(t.exitant(np.ones((1, 3)), np.full((2, 3), 0.6), 1), 0.3)
+    np.testing.assert_allclose(t.exitant(irradiance, np.full((2, 3), 0.6), 1), 0.3)
 
 
 def log_error(prediction, truth) -> float:

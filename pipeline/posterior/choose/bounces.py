@@ -19,9 +19,8 @@ from scipy.spatial import cKDTree
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.geometry.mesh_io import Mesh, sample_surface
 
-# rho: above what most surfaces reflect. Before the light is known the photos cannot tell; where all
-# is as white as .8, the second reflection counts (.8 / .5)^2 = 2.6 times as much.
-ALBEDO = 0.5
+# rho: that of white paint, for before the light is known photos cannot tell how white a thing is
+ALBEDO = 0.8
 # what may be lost, root mean square of the relative error over the points that photos show. The
 # least relative error that refinement leaves on seven real sets is .14, to which this adds .1 dB in
 # quadrature; a brighter base colour makes up for most of it.

@@ -188,23 +188,33 @@ class RowLikelihood:
         U, W = mix(self.data.lobes.albedo[roughness].T[..., None], metallic[:, None])
         return np.clip(self.materials.color[self.data.region] * U + W, 0, ALBEDO_MAX)
 
-    def nodes(self, light: np.ndarray) -> np.ndarray:
-        """Radiance (q, 3) that the nodes of the surface give off under a light, and the ground's
+    def irradiance(self, light: np.ndarray) -> np.ndarray:
+        """Of the surface's nodes (q, 3) by a light and the ground; by the ground alone where light
+        between parts of the object is left out.
+        """
+        transport = self.data.transport
+        return transport.irradiance(light) if self.data.bounces > 1 else transport.ground_light
+
+    def nodes(self, irradiance: np.ndarray) -> np.ndarray:
+        """Radiance (q, 3) that the nodes give off under `irradiance` (q, 3), and the ground's
         columns (`Transport.with_ground`).
         """
-        transport, bounces = self.data.transport, self.data.bounces
-        if bounces > 1:
-            radiance = transport.exitant(light, self.albedo(), bounces - 1)
-        else:
-            radiance = np.zeros((len(transport.node_position), 3))
-        return transport.with_ground(radiance)
+        transport, reflections = self.data.transport, self.data.bounces - 1
+        if not reflections:
+            return transport.with_ground(np.zeros_like(irradiance))
+        return transport.with_ground(transport.exitant(irradiance, self.albedo(), reflections))
+
+    def lit(self, light: np.ndarray) -> LitRows:
+        """The rows under a light."""
+        L, m = light.astype(np.float32), self.matrices
+        # numpy: 3 times faster than torch on so few columns
+        U, W = m.U.numpy() @ L, m.W.numpy() @ L
+        of_ground = self.data.transport.ground_light
+        return LitRows(self, U, W, self.irradiance(light) - of_ground, of_ground)
 
     def predict(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """U and W applied to a light, (n, 3) each, light off the object included."""
-        L, B = light.astype(np.float32), self.nodes(light)
-        m = self.matrices
-        # numpy: 3 times faster than torch on so few columns
-        return m.U.numpy() @ L + m.off_U @ B, m.W.numpy() @ L + m.off_W @ B
+        return self.lit(light).seen(self.materials.color, np.ones(3))
 
     def draw_colors(
         self, light: np.ndarray, rng: np.random.Generator
@@ -278,3 +288,32 @@ class RowLikelihood:
         blank = torch.zeros(3, len(seen.pixel), regions)
         together = lambda *parts: torch.cat(parts, 1)
         return together(T, seen.rows(light)), together(r, of_seen), together(V, blank)
+
+
+@dataclass(frozen=True)
+class LitRows:
+    """Rows under a light, of which the gain of every channel and the mean base colours may change.
+
+    U, W (n, 3): what the lobes see of the light itself; of_light, of_ground (q, 3): irradiance of
+    the nodes.
+    """
+
+    rows: RowLikelihood
+    U: np.ndarray
+    W: np.ndarray
+    of_light: np.ndarray
+    of_ground: np.ndarray
+
+    def seen(self, color: np.ndarray, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """U and W (n, 3) of the light times `gain` (3,) at mean base colours (R, 3), light off the
+        object included: of this, darker colours take away what a brighter light adds.
+
+        Metal gives the others what it did with its colour of before. It is no diffuse emitter: how
+        its part changes would tell of a light that is too bright.
+        """
+        held = self.rows.materials
+        diffuse = held.metallic[:, None] == 0
+        others = self.rows.recolored(np.where(diffuse, color, held.color))
+        B = others.nodes(self.of_light * gain + self.of_ground)
+        m = self.rows.matrices
+        return self.U * gain + m.off_U @ B, self.W * gain + m.off_W @ B

@@ -163,44 +163,42 @@ class GaugeInfo(NamedTuple):
 
 
 def draw_gauge(
-    model: RowModel,
-    U: np.ndarray,
-    W: np.ndarray,
-    materials: RegionMaterials,
+    rows: RowLikelihood,
+    light: np.ndarray,
     log_scale: float,
     centre: float,
     pull: Callable[[np.ndarray], float],
     steps: int,
     rng: np.random.Generator,
-    fixed: tuple[np.ndarray, np.ndarray] | None = None,
-    seen: Callable[[np.ndarray], float] = lambda gain: 0.0,
 ) -> tuple[RegionMaterials, float, GaugeInfo]:
     """Moves along what the photos hardly tell: light brighter, base colours darker; the same per
-    channel.
+    channel. What tells is what a base colour does not scale, highlights, and what it scales twice
+    or more, light between parts of the object.
 
-    U and W (n, 3): what the lobes see now; `pull(shift (3,))`: log-density of adding `shift` to the
-    light's log radiance per channel; `centre`: mean of the log scale's prior; fixed: the parts of U
-    and W that come from the ground; `seen(gain (3,))`: log-likelihood of what is seen of the light
-    times a gain. Returns materials, log scale, and the shift with the count of accepted moves.
+    light (M, 3): now; `pull(shift (3,))`: log-density of adding `shift` to the light's log radiance
+    per channel; `centre`: mean of the log scale's prior. Returns materials, log scale, and the
+    shift with the count of accepted moves.
     """
-    stay_U, stay_W = fixed or (np.zeros(3), np.zeros(3))
+    model, data, lit = rows.model, rows.data, rows.lit(light)
 
-    def log_density(m: RegionMaterials, s: float, d: np.ndarray) -> float:
+    def of_photos(m: RegionMaterials, s: float, d: np.ndarray) -> float:
         gain = np.exp(s - log_scale + d)
-        rows = model.point_values(
-            stay_U + (U - stay_U) * gain, stay_W + (W - stay_W) * gain, m
-        ).sum()
-        rows = rows + seen(gain)
-        scale = 0.5 * ((s - centre) / SCALE_PRIOR) ** 2
-        return rows + log_prior(m, model.data.lobes.roughness) + pull(d) - scale
+        points = model.point_values(*lit.seen(m.color, gain), m)
+        return float(points.sum()) + data.seen_light.value(light * gain)
 
-    shift, scale, taken = np.zeros(3), log_scale, 0
-    now = log_density(materials, log_scale, shift)
+    def beside(m: RegionMaterials, s: float, d: np.ndarray) -> float:
+        scale = 0.5 * ((s - centre) / SCALE_PRIOR) ** 2
+        return log_prior(m, data.lobes.roughness) + pull(d) - scale
+
+    materials, shift, scale, taken = rows.materials, np.zeros(3), log_scale, 0
+    photos, now = of_photos(materials, scale, shift), beside(materials, scale, shift)
     for k in range(steps):
-        new, new_scale, new_shift = propose_gauge(materials, scale, shift, k, rng)
-        then = log_density(new, new_scale, new_shift)
-        if np.log(rng.random()) < then - now:
-            materials, scale, shift, now = new, new_scale, new_shift, then
+        new = propose_gauge(materials, scale, shift, k, rng)
+        # with colours as they are the light's brightness is too
+        there = photos if new[0] is materials else of_photos(*new)
+        then = beside(*new)
+        if np.log(rng.random()) < there + then - photos - now:
+            (materials, scale, shift), photos, now = new, there, then
             taken += 1
     return materials, scale, GaugeInfo(taken, shift)
 
@@ -235,22 +233,14 @@ def gauge_kernel(
     """
 
     def kernel(rng: Randomness, state: State) -> tuple[State, GaugeInfo]:
-        rows = RowLikelihood.of(mixer, state)
-        light = decoder.light(state.code, state.log_scale)
-        U, W = rows.predict(light)
-        seen = mixer.data.seen_light
         materials, log_scale, info = draw_gauge(
-            rows.model,
-            U,
-            W,
-            state.materials,
+            RowLikelihood.of(mixer, state),
+            decoder.light(state.code, state.log_scale),
             state.log_scale,
             centre,
             pull_of(state),
             GAUGE_STEPS,
             rng.numpy,
-            rows.predict(np.zeros_like(light)),
-            lambda gain: seen.value(light * gain),
         )
         shift = (info.shift / decoder.prior.log_spread).astype(np.float32)
         code = state.code + torch.from_numpy(shift)[:, None]
@@ -278,7 +268,7 @@ def material_kernel(
         light = decoder.light(state.code, state.log_scale)
         rows = RowLikelihood.of(mixer, state)
         model = rows.model
-        seen = mixer.data.lobes.apply(light, rows.nodes(light))
+        seen = mixer.data.lobes.apply(light, rows.nodes(rows.irradiance(light)))
 
         materials, offsets = state.materials, state.offsets
         whole = proposal is propose_all

@@ -52,7 +52,7 @@ def test_inside_a_spherical_bowl_radiosity_is_known(tmp_path):
 
     scene = saved(tmp_path, bowl)
     depth, facts = path_vertices(scene, bowl, seen, 8, numpy_rng(0))
-    assert depth == 4  # .25 and .0625 are more than TOLERANCE, .0156 is less
+    assert depth == 6  # .4^4 = .026 is more than TOLERANCE, .4^5 = .010 is less
     assert path_vertices(scene, bowl, seen, 3, numpy_rng(0))[0] == 3
     assert facts["hemisphere_blocked_by_the_object"]["mean"] == pytest.approx(0.5, abs=0.01)
     lost = facts["lost_share_by_max_depth"]
