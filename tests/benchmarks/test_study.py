@@ -135,16 +135,17 @@ def test_pieces_of_a_study_are_named_as_one(monkeypatch):
     assert "`a --scenes F/s --out o`" in line
 
 
-def test_times_of_two_machines_are_not_compared(data):
+@pytest.mark.parametrize("other", [{"machine": "another"}, {"date": "another"}])
+def test_times_of_two_machines_or_days_are_not_compared(data, other):
     """Rows from elsewhere have scores, and times only where ours stand beside them."""
     for row in rows_of("gaussian", 19, 1):
-        data["rows"].append(row | {"machine": "another"})
+        data["rows"].append(row | other)
     assert mean_of(data, "gaussian", "relight_psnr") == 19.5
     assert seconds(data, "gaussian") is None
     assert "gaussian" not in [point.method for point in relight_points(data)]
     assert "| `gaussian` |  | 19.5 |" in printed(data)
 
-    elsewhere = [row | {"machine": "another"} for row in rows_of(OURS, 20, 7, seeds=(2, 3, 4))]
+    elsewhere = [row | other for row in rows_of(OURS, 20, 7, seeds=(2, 3, 4))]
     data["rows"] += elsewhere  # now the most of ours are from there
     assert seconds(data, OURS) == 14 and seconds(data, "gaussian") == 2
     assert seconds(data, "dpi_paper") is None
