@@ -128,7 +128,8 @@ def true_scores(job: Job, here: Path) -> dict:
         values.setdefault("truth", scored.values)
     if job.draws > 1:
         packs = [np.load(here / "pictures" / f"{k}.npz") for k in range(job.draws)]
-        values["coverage"] = of_draws(packs, truth)["coverage"]
+        together = of_draws(packs, truth)
+        values |= {key: together[key] for key in ("coverage", "within")}
     return values
 
 

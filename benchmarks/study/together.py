@@ -11,11 +11,12 @@ from benchmarks.study.rows import light_unknowns
 from benchmarks.study.store import TOGETHER, made_here, seeds_in
 from pipeline.base.files import read_json, write_json
 from pipeline.base.images import linear_to_srgb
-from pipeline.render.draw_metrics import coverage
+from pipeline.render.draw_metrics import coverage, held_within
 from pipeline.report.score import Scored, map_truth, score_draws, true_pictures
 from pipeline.report.truth import Truth, load_truth
 
 COVERED = 500  # pixels that coverage is taken of, per scene
+COMMON = (0.0, 0.01, 0.02, 0.03, 0.04)  # errors that all draws may share, sRGB
 
 
 def join(scene: Path, method: str, rows: Path, draws: Path, about: dict) -> None:
@@ -55,8 +56,9 @@ def truth_of_row(folder: Path, row: dict) -> Truth:
 
 
 def of_draws(packs: list, truth: Truth) -> dict:
-    """Scores of several draws, and under "coverage" the share of true values that their intervals
-    hold, by kind of unknown.
+    """Scores of several draws; under "coverage" the share of true values that their intervals
+    hold, by kind of unknown; under "within" what intervals of sRGB values hold that count an error
+    all draws have in common, for each of COMMON.
     """
     draws = [
         Scored(
@@ -75,12 +77,20 @@ def of_draws(packs: list, truth: Truth) -> dict:
         ),
         "relit": coverage(relit, true_relit),
     }
+    within = {"relit": by_common_error(relit, true_relit)}
     known = map_truth(truth)
     if "albedo" in known:
         some = np.random.default_rng(0).permutation(len(known["albedo"]))[:COVERED]
         colors = np.array([draw.albedo[some].ravel() for draw in draws])
-        held["albedo"] = coverage(colors, known["albedo"][some].ravel())
-    return score_draws(draws, truth) | {"coverage": held}
+        true_colors = known["albedo"][some].ravel()
+        held["albedo"] = coverage(colors, true_colors)
+        within["albedo"] = by_common_error(linear_to_srgb(colors), linear_to_srgb(true_colors))
+    return score_draws(draws, truth) | {"coverage": held, "within": within}
+
+
+def by_common_error(draws: np.ndarray, truth: np.ndarray) -> dict[str, dict[str, float]]:
+    """What intervals of draws (n, k) hold of truth (k,), for each of COMMON."""
+    return {str(common): held_within(draws, truth, common) for common in COMMON}
 
 
 def some_pixels(draws: list[Scored], truth: Truth) -> tuple[np.ndarray, np.ndarray]:

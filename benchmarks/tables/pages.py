@@ -16,7 +16,7 @@ from benchmarks import (
 )
 from benchmarks.stability import limits as stability
 from benchmarks.study import pages as study_pages
-from benchmarks.tables import committed, hardening, pairs, priors, real_sets, scenes
+from benchmarks.tables import committed, common_error, hardening, pairs, priors, real_sets, scenes
 from benchmarks.tables.committed import results, rows_of, source
 from benchmarks.work import tables as work_tables
 from pipeline.base.errors import InputError, nearest
@@ -59,6 +59,7 @@ def of_assets() -> dict[str, Callable[[], str]]:
         "parsimony_draws": parsimony(parsimony_tables.summary, "parsimony_draws"),
         "parsimony_draws_scenes": parsimony(parsimony_tables.by_scene, "parsimony_draws"),
         "coverage": parsimony(parsimony_tables.coverage_by_scene, "coverage"),
+        "common_error": common_error.table,
         "ladder": lambda: ladder_tables.photos(rows_of("ladder")) + source("ladder"),
         "ladder_truth": lambda: (
             ladder_tables.truths(rows_of("ladder_truth")) + source("ladder_truth")

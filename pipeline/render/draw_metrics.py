@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 NOMINAL = (0.5, 0.8, 0.95)
+# root mean square error, sRGB, that all draws of a scene share: base colours and relit pixels of
+# development scenes ask for it (docs/calibration.md)
+COMMON_ERROR = 0.03
 
 
 def predictive_reach(count: int, nominal: float) -> float:
@@ -13,6 +16,26 @@ def predictive_reach(count: int, nominal: float) -> float:
     share of `nominal`, over their standard deviation (n - 1).
     """
     return float(stdtrit(count - 1, 0.5 + 0.5 * nominal) * np.sqrt(1 + 1 / count))
+
+
+def half_width(deviation: np.ndarray, count: int, nominal: float, common: float) -> np.ndarray:
+    """Half-width of the interval about the mean of `count` draws that is to hold a share of
+    `nominal`, for their standard deviation (n - 1), where they also miss the truth together by a
+    normal error of deviation `common`: the half-widths of Student's predictive interval and of the
+    normal one, added as independent errors are.
+    """
+    apart = predictive_reach(count, nominal) * deviation
+    return np.hypot(apart, ndtri(0.5 + 0.5 * nominal) * common)
+
+
+def held_within(draws: np.ndarray, truth: np.ndarray, common: float) -> dict[str, float]:
+    """As `coverage`, of intervals of `half_width`."""
+    off = np.abs(truth - draws.mean(0))
+    deviation = draws.std(0, ddof=1)
+    return {
+        f"{nominal:.0%}": float((off <= half_width(deviation, len(draws), nominal, common)).mean())
+        for nominal in NOMINAL
+    }
 
 
 def coverage(draws: np.ndarray, truth: np.ndarray) -> dict[str, float]:

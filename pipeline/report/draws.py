@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.images import linear_to_srgb
-from pipeline.render.draw_metrics import predictive_reach
+from pipeline.render.draw_metrics import COMMON_ERROR, half_width
 from pipeline.render.renderer import Explanation
 
 KNOWN_TO = 0.02  # standard error of the samples' mean base colour, sRGB: five steps of 8 bits
@@ -93,14 +93,34 @@ def color_facts(spread: Spread) -> dict:
     deviation = spread.color
     mean_square = float((deviation**2).mean())
     needed = int(np.clip(np.ceil(mean_square / KNOWN_TO**2), FEWEST, MOST))
-    middle, hard = predictive_reach(spread.count, LEVEL) * np.quantile(deviation, [0.5, HARD])
+    middle, hard = half_widths(deviation, spread.count)
     return {
         "samples_needed": needed,
         "spread": float(np.sqrt(mean_square)),
         "known_to": KNOWN_TO,
-        "color_within": float(middle),
-        "color_within_hard": float(hard),
+        "color_within": middle,
+        "color_within_hard": hard,
+        "common_error": COMMON_ERROR,
     }
+
+
+def relit_facts(relit: Sequence[np.ndarray]) -> dict:
+    """The same half-widths of the samples' pixels under another light, sRGB, each (n, 3); none for
+    a single sample.
+    """
+    if len(relit) < FEWEST:
+        return {}
+    middle, hard = half_widths(np.std(relit, axis=0, ddof=1), len(relit))
+    return {"relit_within": middle, "relit_within_hard": hard}
+
+
+def half_widths(deviation: np.ndarray, count: int) -> tuple[float, float]:
+    """Of LEVEL's intervals of `count` samples' sRGB values, what all miss together counted, at the
+    median and at HARD of the deviations.
+    """
+    quantiles = np.quantile(deviation, [0.5, HARD])
+    middle, hard = half_width(quantiles, count, LEVEL, COMMON_ERROR)
+    return float(middle), float(hard)
 
 
 def samples_words(found: dict, count: int) -> str:
@@ -114,11 +134,14 @@ def samples_words(found: dict, count: int) -> str:
 
 
 def interval_words(found: dict) -> str:
-    """How far the true base colours may be off the samples' mean, in plain words."""
+    """How far the truth may be off the samples' mean, in plain words, of `color_facts` and
+    `relit_facts`.
+    """
     return (
-        f"By how much the samples differ, the true base colour is put within "
-        f"±{found['color_within']:.2f} (sRGB) of their mean at half of the texels, within "
-        f"±{found['color_within_hard']:.2f} at nine tenths of them ({100 * LEVEL:.0f} % "
-        "intervals). That leaves out what all samples miss together: a wrong surface, or a light "
-        "that all take for too bright or too dim."
+        f"The true base colour is put within ±{found['color_within']:.2f} (sRGB) of the mean of "
+        f"samples at half of the texels, within ±{found['color_within_hard']:.2f} at nine tenths "
+        f"of them; the view under another light within ±{found['relit_within']:.2f} and "
+        f"±{found['relit_within_hard']:.2f} ({100 * LEVEL:.0f} % intervals). They count by how "
+        f"much the samples differ, and an error of {found['common_error']:.2f} that all have in "
+        "common on scenes whose surface and truth are known. A wrong surface comes on top."
     )

@@ -10,7 +10,14 @@ from pathlib import Path
 from pipeline.base.config import Scene
 from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
-from pipeline.report.draws import Samples, Spread, color_facts, interval_words, samples_words
+from pipeline.report.draws import (
+    Samples,
+    Spread,
+    color_facts,
+    interval_words,
+    relit_facts,
+    samples_words,
+)
 from pipeline.report.html import page
 from pipeline.report.pictures import Painter, contact_sheet, normal_map, spread_pictures
 from pipeline.report.trust import evidence, in_words, load_model, probability
@@ -54,15 +61,15 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     found = evidence(work, rig, explanations, scene, scores)
     model = load_model()
     trust = in_words(found, model)
-    color = color_facts(spread) if spread else {}
-    enough = samples_words(color, scene.samples) if color else ""
-    within = interval_words(color) if color else ""
+    certain = color_facts(spread) | relit_facts([s["relit"] for s in samples]) if spread else {}
+    enough = samples_words(certain, scene.samples) if certain else ""
+    within = interval_words(certain) if certain else ""
     said = {"trust": trust, "enough": enough, "within": within}
     html = page(usd, scene, facts, pictures, samples, view.name, view.name in held, said)
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
     metrics = {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": scene.samples}
-    metrics |= color
+    metrics |= certain
     if found is None:
         return metrics | {"trust": None}
     return metrics | {"trust": asdict(found) | {"chance_of_failure": probability(found, model)}}

@@ -140,7 +140,9 @@ class Painter:
         return encode(to_srgb8(self.photo)[self.box])
 
     def sample(self, x: Explanation) -> dict:
-        """All pictures of one sample as bytes, and its PSNR in this view."""
+        """All pictures of one sample as bytes, its PSNR in this view, and the object's pixels under
+        another light, sRGB (n, 3).
+        """
         spp = self.scene.report.spp
         halves = render_twice(self.renderer(x, self.ground), x, self.view, self.shown, spp)
         picture = halves.mean(0)
@@ -162,6 +164,7 @@ class Painter:
             "render": encode(to_srgb8(picture)[self.box]),
             "error": encode(heat(error, 0.25)[self.box]),
             "relight": encode(to_srgb8(other)[self.box]),
+            "relit": linear_to_srgb(other[self.mask]),
             "psnr": psnr(halves[0], self.photo, self.mask, halves[1]),
             "mean_radiance": brightness,
             "mean_base_color": float(x.base_color.mean()),

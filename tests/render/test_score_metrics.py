@@ -5,7 +5,7 @@ import pytest
 from skimage.color import rgb2lab
 
 from pipeline.base.images import srgb_to_linear
-from pipeline.render.draw_metrics import coverage, crps, sample_variance
+from pipeline.render.draw_metrics import coverage, crps, held_within, sample_variance
 from pipeline.render.envmap import directions, yaw_roll
 from pipeline.render.light_metrics import (
     light_errors,
@@ -154,3 +154,19 @@ def test_coverage_and_variance_of_draws_from_the_truth():
     assert sample_variance(3 * rng.normal(size=(5, 20000))) == pytest.approx(9, rel=0.03)
     with pytest.raises(ValueError):
         sample_variance(np.zeros((1, 4)))
+
+
+@pytest.mark.parametrize("common", [0.0, 0.5, 3.0])
+def test_intervals_that_know_of_a_common_error_hold_what_they_say(common):
+    """Draws about the truth of deviation 1, all of them off by the same normal error; without the
+    common error counted they hold too little.
+    """
+    rng = numpy_rng(5)
+    shared = common * rng.normal(size=40_000)
+    draws = rng.normal(size=(6, 40_000)) + shared
+    truth = rng.normal(size=40_000)
+    held = held_within(draws, truth, common)
+    for nominal in (0.5, 0.8, 0.95):
+        assert held[f"{nominal:.0%}"] == pytest.approx(nominal, abs=0.03)
+    if common == 3:
+        assert held_within(draws, truth, 0)["80%"] < 0.6

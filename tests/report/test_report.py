@@ -19,11 +19,11 @@ from pipeline.base.images import linear_to_srgb, srgb_to_linear, to_srgb8, write
 from pipeline.geometry.cameras import Rig, save_cameras
 from pipeline.geometry.mesh_io import load_mesh
 from pipeline.geometry.normal_maps import write_normal_map
-from pipeline.render.draw_metrics import predictive_reach
+from pipeline.render.draw_metrics import COMMON_ERROR, half_width, predictive_reach
 from pipeline.render.renderer import Renderer
 from pipeline.report import trust
 from pipeline.report.choices import gloss_choices
-from pipeline.report.draws import LEVEL, Spread, color_facts
+from pipeline.report.draws import LEVEL, Spread, color_facts, relit_facts
 from pipeline.report.make import make_report
 from pipeline.report.pictures import Painter, evening_light, heat, range_words, spread_pictures
 from tests.render.pictures import render_view
@@ -173,10 +173,25 @@ def test_intervals_of_right_samples_hold_what_they_say(count):
 
 def test_how_far_colours_may_be_off_is_on_the_page(page, page_of_one):
     metrics, html, _ = page
-    assert f"within ±{metrics['color_within']:.2f} (sRGB) of their mean" in html
-    assert 0 < metrics["color_within"] <= metrics["color_within_hard"]
+    assert f"within ±{metrics['color_within']:.2f} (sRGB) of the mean of" in html
+    assert f"another light within ±{metrics['relit_within']:.2f}" in html
+    for what in ("color_within", "relit_within"):
+        assert half_width(0, 2, LEVEL, COMMON_ERROR) < metrics[what] < metrics[f"{what}_hard"]
     metrics, html = page_of_one
-    assert "color_within" not in metrics and "By how much the samples differ" not in html
+    assert "color_within" not in metrics and "relit_within" not in metrics
+    assert "The true base colour is put within" not in html
+
+
+def test_relit_views_may_be_off_by_what_samples_differ_and_what_they_share():
+    """Two samples that differ by d have the deviation d / sqrt 2; most pixels by .1."""
+    one = np.full((100, 3), 0.4)
+    other = one + np.where(np.arange(100) < 90, 0.1, 0.3)[:, None]
+    found = relit_facts([one, other])
+    apart = predictive_reach(2, LEVEL) * 0.1 / np.sqrt(2)
+    together = 1.2816 * COMMON_ERROR  # of 80 % of a normal error
+    assert found["relit_within"] == pytest.approx(np.hypot(apart, together), rel=1e-3)
+    assert list(relit_facts([one, one, one]).values()) == pytest.approx(2 * [together], rel=1e-3)
+    assert relit_facts([one]) == {}
 
 
 @pytest.mark.slow
@@ -371,7 +386,7 @@ def test_samples_needed_follow_from_their_spread(page):
     found = color_facts(Spread.of(pair))
     assert found["spread"] == pytest.approx(0.1 / np.sqrt(2), rel=1e-3)
     assert found["samples_needed"] == 13  # .005 / .0004 = 12.5
-    reach = predictive_reach(2, LEVEL) * 0.1 / np.sqrt(2)
+    reach = half_width(0.1 / np.sqrt(2), 2, LEVEL, COMMON_ERROR)
     assert [found[k] for k in ("color_within", "color_within_hard")] == pytest.approx(
         [reach, reach], rel=1e-3
     )
