@@ -104,13 +104,15 @@ def color_facts(spread: Spread) -> dict:
     }
 
 
-def relit_facts(relit: Sequence[np.ndarray]) -> dict:
-    """The same half-widths of the samples' pixels under another light, sRGB, each (n, 3); none for
-    a single sample.
+def relit_facts(relit: Sequence[np.ndarray], brightness: float) -> dict:
+    """The same half-widths of the samples' pixels under another light: relit, radiance (n, 3) of
+    each under one of mean radiance 1; brightness: of the light that they are compared under. None
+    for a single sample.
     """
     if len(relit) < FEWEST:
         return {}
-    middle, hard = half_widths(np.std(relit, axis=0, ddof=1), len(relit))
+    shown = [linear_to_srgb(brightness * pixels) for pixels in relit]
+    middle, hard = half_widths(np.std(shown, axis=0, ddof=1), len(shown))
     return {"relit_within": middle, "relit_within_hard": hard}
 
 

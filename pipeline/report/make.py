@@ -7,6 +7,8 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from pipeline.base.config import Scene
 from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
@@ -61,7 +63,9 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     found = evidence(work, rig, explanations, scene, scores)
     model = load_model()
     trust = in_words(found, model)
-    certain = color_facts(spread) | relit_facts([s["relit"] for s in samples]) if spread else {}
+    brightness = float(np.mean([s["mean_radiance"] for s in samples]))
+    relit = relit_facts([s["relit"] for s in samples], brightness)
+    certain = color_facts(spread) | relit if spread else {}
     enough = samples_words(certain, scene.samples) if certain else ""
     within = interval_words(certain) if certain else ""
     said = {"trust": trust, "enough": enough, "within": within}

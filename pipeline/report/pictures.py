@@ -141,7 +141,7 @@ class Painter:
 
     def sample(self, x: Explanation) -> dict:
         """All pictures of one sample as bytes, its PSNR in this view, and the object's pixels under
-        another light, sRGB (n, 3).
+        another light of mean radiance 1, (n, 3); all samples' are of the same paths.
         """
         spp = self.scene.report.spp
         halves = render_twice(self.renderer(x, self.ground), x, self.view, self.shown, spp)
@@ -164,7 +164,7 @@ class Painter:
             "render": encode(to_srgb8(picture)[self.box]),
             "error": encode(heat(error, 0.25)[self.box]),
             "relight": encode(to_srgb8(other)[self.box]),
-            "relit": linear_to_srgb(other[self.mask]),
+            "relit": other[self.mask] / brightness,
             "psnr": psnr(halves[0], self.photo, self.mask, halves[1]),
             "mean_radiance": brightness,
             "mean_base_color": float(x.base_color.mean()),

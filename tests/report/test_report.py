@@ -183,15 +183,19 @@ def test_how_far_colours_may_be_off_is_on_the_page(page, page_of_one):
 
 
 def test_relit_views_may_be_off_by_what_samples_differ_and_what_they_share():
-    """Two samples that differ by d have the deviation d / sqrt 2; most pixels by .1."""
+    """Two samples that differ by d have the deviation d / sqrt 2; most pixels by .1, in sRGB and
+    under a light of brightness 2.
+    """
     one = np.full((100, 3), 0.4)
     other = one + np.where(np.arange(100) < 90, 0.1, 0.3)[:, None]
-    found = relit_facts([one, other])
+    radiance = [srgb_to_linear(shown) / 2 for shown in (one, other)]
+    found = relit_facts(radiance, 2.0)
     apart = predictive_reach(2, LEVEL) * 0.1 / np.sqrt(2)
     together = 1.2816 * COMMON_ERROR  # of 80 % of a normal error
     assert found["relit_within"] == pytest.approx(np.hypot(apart, together), rel=1e-3)
-    assert list(relit_facts([one, one, one]).values()) == pytest.approx(2 * [together], rel=1e-3)
-    assert relit_facts([one]) == {}
+    alike = relit_facts(3 * radiance[:1], 2.0)
+    assert list(alike.values()) == pytest.approx(2 * [together], rel=1e-3)
+    assert relit_facts(radiance[:1], 2.0) == {}
 
 
 @pytest.mark.slow
