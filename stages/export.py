@@ -13,6 +13,7 @@ from pipeline.run.stage import Stage, stage
 def work(s: Stage) -> None:
     from pipeline.geometry.cameras import load_cameras
     from pipeline.photos.radiance import Radiance
+    from pipeline.report.draws import Samples, Spread, asset_facts
     from pipeline.usd.write import export
 
     facts = {
@@ -22,6 +23,7 @@ def work(s: Stage) -> None:
         "poses": load_cameras(s.args.poses / "cameras.json").source,
         "meters_known": s.scene.poses.object_size is not None,
     }
+    facts |= asset_facts(Spread.of(Samples(s.args.samples)))
     white = Radiance.load(s.args.capture).white
     metrics = export(s.args.atlas, s.args.samples, s.out, facts, white)
     report_metrics(s.args.metrics, metrics | s.costs())

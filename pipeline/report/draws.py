@@ -25,10 +25,15 @@ DARKEST = 1e-4  # radiance below which all is black: a log has to end somewhere
 
 
 class Samples(Sequence):
-    """The refined samples in a scene's work folder, each read whenever it is asked for."""
+    """The refined samples in their folders, each read whenever it is asked for."""
 
-    def __init__(self, work: Path, count: int):
-        self.folders = [work / "refine" / str(k) for k in range(count)]
+    def __init__(self, folders: Sequence[Path]):
+        self.folders = folders
+
+    @classmethod
+    def of(cls, work: Path, count: int) -> Samples:
+        """Those of a scene's work folder."""
+        return cls([work / "refine" / str(k) for k in range(count)])
 
     def __len__(self) -> int:
         return len(self.folders)
@@ -101,6 +106,21 @@ def color_facts(spread: Spread) -> dict:
         "color_within": middle,
         "color_within_hard": hard,
         "common_error": COMMON_ERROR,
+    }
+
+
+def asset_facts(spread: Spread | None) -> dict:
+    """What an asset says of itself: within how much of the samples' mean the true base colour is
+    put, sRGB, at half of the texels and at HARD of them, and the share that such intervals are to
+    hold. Nothing for a single sample.
+    """
+    if spread is None:
+        return {}
+    middle, hard = half_widths(spread.color, spread.count)
+    return {
+        "base_color_within": round(middle, 3),
+        "base_color_within_hard": round(hard, 3),
+        "interval": LEVEL,
     }
 
 

@@ -42,7 +42,7 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     """
     facts = stage_facts(work, scene.samples)
     rig = load_cameras(work / "poses" / "cameras.json")
-    explanations = Samples(work, scene.samples)
+    explanations = Samples.of(work, scene.samples)
 
     held = facts["observe"]["held_out"]
     view = next((v for v in rig.views if held and v.name == held[0]), rig.views[0])

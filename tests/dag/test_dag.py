@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from pxr import Usd
 
 from pipeline.base.images import read_exr, read_png, to_srgb8
 from pipeline.geometry.cameras import Y_FROM_Z_UP, View
@@ -191,7 +192,11 @@ def test_whole_chain_of_two_scenes_at_once(project, tmp_path):
         assert process.wait() == 0, log.read_text()[-3000:]
 
     for scene in logs:
-        assert check(project / "exports" / f"{scene}.usda") == []
+        usda = project / "exports" / f"{scene}.usda"
+        assert check(usda) == []
+        stage = Usd.Stage.Open(str(usda))
+        said = stage.GetDefaultPrim().GetCustomDataByKey("heliograph")
+        assert ("base_color_within" in said) == (said["samples"] > 1)
         report = (project / "exports" / f"{scene}_report.html").read_text(encoding="utf-8")
         assert report.count("data:image/") > 12
         assert "http://" not in report and "https://" not in report

@@ -1,14 +1,17 @@
 """The samples of a run: they are not all held at once, and their spread is exact."""
 
 import weakref
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from pipeline.base.files import write_json
 from pipeline.base.images import linear_to_srgb
+from pipeline.render.draw_metrics import COMMON_ERROR
 from pipeline.render.renderer import Explanation
-from pipeline.report.draws import Samples, Spread
+from pipeline.report.draws import Samples, Spread, asset_facts
 from pipeline.report.make import make_report
 from tests.render.test_renderer import explanation
 from tests.report import test_report
@@ -47,7 +50,7 @@ def test_spread_is_that_of_all_samples_at_once(tmp_path):
     found = [explanation(16, 8, seed=seeded(k)) for k in range(COUNT)]
     for k, x in enumerate(found):
         x.save(tmp_path / "refine" / str(k))
-    spread = Spread.of(Samples(tmp_path, COUNT))
+    spread = Spread.of(Samples.of(tmp_path, COUNT))
     of_all = lambda values: np.std(values, axis=0, ddof=1)
     for name in ("roughness", "metallic"):
         expected = of_all([getattr(x, name) for x in found])
@@ -57,3 +60,16 @@ def test_spread_is_that_of_all_samples_at_once(tmp_path):
     light = of_all([np.log(x.light / x.light.mean()) for x in found])
     np.testing.assert_allclose(spread.light, light, rtol=1e-3, atol=1e-5)
     assert spread.count == COUNT and Spread.of(found[:1]) is None
+
+
+def test_an_asset_says_how_far_its_base_colour_may_be_off():
+    """Alike samples: only what all samples may miss together; a single one says nothing."""
+    one = explanation(16, 8, seed=0)
+    alike = asset_facts(Spread.of([one, one, one]))
+    assert alike["base_color_within"] == pytest.approx(1.2816 * COMMON_ERROR, abs=1e-3)
+    other = replace(one, base_color=np.clip(one.base_color + 0.3, 0, 1))
+    apart = asset_facts(Spread.of([one, other]))
+    assert (
+        alike["base_color_within"] < apart["base_color_within"] <= apart["base_color_within_hard"]
+    )
+    assert apart["interval"] == 0.8 and asset_facts(Spread.of([one])) == {}
