@@ -13,7 +13,7 @@ from pipeline.run.stage import Stage, stage
 def work(s: Stage) -> None:
     from pipeline.geometry.cameras import load_cameras
     from pipeline.photos.radiance import Radiance
-    from pipeline.report.draws import Samples, Spread, asset_facts
+    from pipeline.render.samples import Samples, Spread, asset_facts
     from pipeline.usd.write import export
 
     facts = {

@@ -12,14 +12,8 @@ import numpy as np
 from pipeline.base.config import Scene
 from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
-from pipeline.report.draws import (
-    Samples,
-    Spread,
-    color_facts,
-    interval_words,
-    relit_facts,
-    samples_words,
-)
+from pipeline.render.samples import Samples, Spread
+from pipeline.report.draws import color_facts, interval_words, relit_facts, samples_words
 from pipeline.report.html import page
 from pipeline.report.pictures import Painter, contact_sheet, normal_map, spread_pictures
 from pipeline.report.trust import evidence, in_words, load_model, probability

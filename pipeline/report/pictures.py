@@ -16,8 +16,8 @@ from pipeline.geometry.surface import Surface
 from pipeline.render.envmap import directions, mean_radiance, resample_area
 from pipeline.render.metrics import psnr, render_pixels, render_twice
 from pipeline.render.renderer import Explanation, Renderer
+from pipeline.render.samples import Spread
 from pipeline.render.surroundings import Ground, Surroundings
-from pipeline.report.draws import Spread
 
 HEAT = cv2.COLORMAP_INFERNO
 

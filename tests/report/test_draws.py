@@ -11,7 +11,7 @@ from pipeline.base.files import write_json
 from pipeline.base.images import linear_to_srgb
 from pipeline.render.draw_metrics import COMMON_ERROR
 from pipeline.render.renderer import Explanation
-from pipeline.report.draws import Samples, Spread, asset_facts
+from pipeline.render.samples import Samples, Spread, asset_facts
 from pipeline.report.make import make_report
 from tests.render.test_renderer import explanation
 from tests.report import test_report

@@ -21,9 +21,10 @@ from pipeline.geometry.mesh_io import load_mesh
 from pipeline.geometry.normal_maps import write_normal_map
 from pipeline.render.draw_metrics import COMMON_ERROR, half_width, predictive_reach
 from pipeline.render.renderer import Renderer
+from pipeline.render.samples import LEVEL, Spread
 from pipeline.report import trust
 from pipeline.report.choices import gloss_choices
-from pipeline.report.draws import LEVEL, Spread, color_facts, relit_facts
+from pipeline.report.draws import color_facts, relit_facts
 from pipeline.report.make import make_report
 from pipeline.report.pictures import Painter, evening_light, heat, range_words, spread_pictures
 from tests.render.pictures import render_view

@@ -1,0 +1,111 @@
+"""The samples of a finished run, by how much they differ, and how far the truth may be off them.
+
+They are read one after another and let go: at 4096 texels a side each has 340 MB.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.images import linear_to_srgb
+from pipeline.render.draw_metrics import COMMON_ERROR, half_width
+from pipeline.render.renderer import Explanation
+
+FEWEST = 2  # samples that say anything of spread
+LEVEL = 0.8  # share of the true values that an interval is meant to hold
+HARD = 0.9  # quantile of the texels that is said beside the median
+DARKEST = 1e-4  # radiance below which all is black: a log has to end somewhere
+
+
+class Samples(Sequence):
+    """The refined samples in their folders, each read whenever it is asked for."""
+
+    def __init__(self, folders: Sequence[Path]):
+        self.folders = folders
+
+    @classmethod
+    def of(cls, work: Path, count: int) -> Samples:
+        """Those of a scene's work folder."""
+        return cls([work / "refine" / str(k) for k in range(count)])
+
+    def __len__(self) -> int:
+        return len(self.folders)
+
+    def __getitem__(self, k: Any) -> Any:
+        return Explanation.load(self.folders[k])
+
+    def __iter__(self) -> Iterator[Explanation]:
+        return map(Explanation.load, self.folders)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How much the samples differ: unbiased standard deviations over `count` of them.
+
+    color (t, t, 3): of the base colour, sRGB; roughness, metallic (t', t'); light (h, 2h, 3): of
+    the log of radiance over its mean.
+    """
+
+    count: int
+    color: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+    light: np.ndarray
+
+    @classmethod
+    def of(cls, samples: Sequence[Explanation]) -> Spread | None:
+        """None for a single sample, which says nothing of spread."""
+        count = len(samples)
+        if count < FEWEST:
+            return None
+        mean = [part / count for part in _sum(_compared(x) for x in samples)]
+        square = lambda x: tuple((part - m) ** 2 for part, m in zip(_compared(x), mean))
+        deviation = (np.sqrt(part / (count - 1)) for part in _sum(square(x) for x in samples))
+        return cls(count, *deviation)
+
+
+Parts = tuple[np.ndarray, ...]
+
+
+def _compared(x: Explanation) -> Parts:
+    """What samples are compared by: the arrays of `Spread`, in order."""
+    log_light = np.log(np.maximum(x.light, DARKEST) / x.light.mean())
+    return linear_to_srgb(x.base_color), x.roughness, x.metallic, log_light
+
+
+def _sum(parts: Iterator[Parts]) -> Parts:
+    """Sums of the arrays, in order."""
+    total = tuple(part.copy() for part in next(parts))
+    for more in parts:
+        for sums, part in zip(total, more):
+            sums += part
+    return total
+
+
+def half_widths(deviation: np.ndarray, count: int) -> tuple[float, float]:
+    """Of LEVEL's intervals of `count` samples' sRGB values, what all miss together counted, at the
+    median and at HARD of the deviations.
+    """
+    quantiles = np.quantile(deviation, [0.5, HARD])
+    middle, hard = half_width(quantiles, count, LEVEL, COMMON_ERROR)
+    return float(middle), float(hard)
+
+
+def asset_facts(spread: Spread | None) -> dict:
+    """What an asset says of itself: within how much of the samples' mean the true base colour is
+    put, sRGB, at half of the texels and at HARD of them, and the share that such intervals are to
+    hold. Nothing for a single sample.
+    """
+    if spread is None:
+        return {}
+    middle, hard = half_widths(spread.color, spread.count)
+    return {
+        "base_color_within": round(middle, 3),
+        "base_color_within_hard": round(hard, 3),
+        "interval": LEVEL,
+    }
