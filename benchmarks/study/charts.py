@@ -143,7 +143,7 @@ def charts(data: dict, out: Path, suite: str) -> None:
     count = len(scenes_in(data))
     title = (
         f"suite {suite}, {count} scenes; dashed: nothing is both faster and better;\n"
-        "lines: one sampler, runs of growing length"
+        "lines: one sampler, runs of growing length; numbers: levels of dpi_paper"
     )
     file = lambda name: out / f"study_{suite.lower()}_{name}"
     label = "relight PSNR, dB (bars: 95 % of the difference from ours)"

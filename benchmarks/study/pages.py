@@ -22,6 +22,7 @@ from benchmarks.study.tables import (
     levels,
     likeness,
     scores,
+    timed,
 )
 from benchmarks.tables import committed
 
@@ -41,7 +42,8 @@ def source(suite: str, methods: Collection[str] = METHODS) -> str:
 
 def chart_source(suite: str) -> str:
     """The line below a chart: where and when its rows were made, how it is drawn, what to copy."""
-    rows = [row for row in suite_rows(suite)["rows"] if row["method"] in METHODS]
+    data = suite_rows(suite)
+    rows = [row for method in METHODS for row in timed(data, method)]
     said = lambda key: ", ".join(dict.fromkeys(row[key] for row in rows if row.get(key)))
     days = f"rows of {said('date')}; " if said("date") else ""
     redraw = f"drawn by `python -m benchmarks.study.charts --suite {suite} --out docs`"
