@@ -31,7 +31,7 @@ from pipeline.base.errors import run_stage
 PAPER_SECONDS = 1188.0  # a sample of the paper on an A100 (its section 5), 19.8 minutes
 COLORS = {"ours": "#b4500f", "others": "#28507d", "front": "#777777"}
 DPI = 130  # of the PNG
-ROOM = 2.0  # left of the first point, for its label, where points are few: a factor of the seconds
+ROOM = 2.6  # left of the first point, for its label, where points are few: a factor of the seconds
 BESIDE = {  # dpi_paper itself, of 100 levels, has no free place beside it
     "preset_draft": "preset draft",
     "preset_standard": "preset standard",

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from benchmarks.markdown import pipe_table
-from benchmarks.study.store import ROWS, suite_rows
+from benchmarks.study.store import suite_rows
 from benchmarks.study.together import COMMON
-from benchmarks.tables.committed import RESULTS, rows_of
+from benchmarks.tables.committed import rows_of
 from pipeline.render.draw_metrics import COMMON_ERROR
 
 LEVEL = "80%"
 OTHERS = ("50%", "95%")
-# rows by the sampler of d37e70f, apart from those of the study's table, which are of one version
-S_ROWS = RESULTS / "study_d37e70f"
 
 
-def of_study(suite: str, rows: Path = ROWS) -> dict[str, list[dict]]:
+def of_study(suite: str) -> dict[str, list[dict]]:
     """By method, what intervals of each scene of a study's suite hold; rows that say it."""
     found: dict[str, list[dict]] = {}
-    for row in suite_rows(suite, rows)["together"]:
+    for row in suite_rows(suite)["together"]:
         if "within" in row["scores"]:
             found.setdefault(row["method"], []).append(row["scores"]["within"])
     return {f"{suite}, `{method}`": held for method, held in found.items()}
@@ -45,7 +41,7 @@ def table() -> str:
         [name]
         + [f"{mean_held(scenes, common, LEVEL):.2f}" for common in COMMON]
         + [f"{mean_held(scenes, COMMON_ERROR, level):.2f}" for level in OTHERS]
-        for name, scenes in (of_study("XS") | of_refined() | of_study("S", S_ROWS)).items()
+        for name, scenes in (of_study("XS") | of_refined() | of_study("S")).items()
     ]
     head = ["suite and method", *(f"80 % hold, {common:g} in common" for common in COMMON)]
     head += [f"{level.replace('%', ' %')} hold, {COMMON_ERROR:g}" for level in OTHERS]
