@@ -13,15 +13,16 @@ not made from.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from pipeline.base.images import linear_to_srgb
+from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.posterior.shading import Shading
-from pipeline.posterior.textures import bilinear_matrix, fill, gather, seen_texels
-from pipeline.render.observe import Observations
+from pipeline.posterior.textures import fill
 
 COARSEST = 32  # side of the pyramid's smallest map
 # errors of logs at which a pixel loses half its weight, one solve after the other: the first must
@@ -93,10 +94,8 @@ def coarse_to_fine(sums: TexelSums, around: float) -> np.ndarray:
     return color
 
 
-def shared_between_photos(
-    observations: Observations, shading: Shading, metallic: np.ndarray, size: int
-) -> Shading:
-    """The shading with D as a map of side `size` where the surface is no metal.
+def shared_between_photos(pixels: MapPixels, shading: Shading, metallic: np.ndarray) -> Shading:
+    """The shading with D as a map where the surface is no metal.
 
     A dielectric's D is the light that falls on the surface, the same for every photo, while its
     estimates in single photos have the path tracer's noise: on garden they differ by 12 % from
@@ -104,14 +103,12 @@ def shared_between_photos(
 
     metallic: (n, 1) of every pixel.
     """
-    solver = ColorSolver(observations, shading, size)
-    weight = solver.cosine
     sums = TexelSums(
-        solver.onto(weight * shading.scaled),
-        np.repeat(solver.onto(weight), 3, 2),
-        solver.onto(np.ones_like(weight)),
+        pixels.onto(pixels.cosine * shading.scaled),
+        np.repeat(pixels.onto(pixels.cosine), 3, 2),
+        pixels.count,
     )
-    common = solver.at_pixels @ coarse_to_fine(sums, USUAL.around).reshape(-1, 3)
+    common = pixels.of(coarse_to_fine(sums, USUAL.around))
     scaled = (1 - metallic) * common + metallic * shading.scaled
     return Shading(scaled.astype(np.float32), shading.rest)
 
@@ -129,54 +126,54 @@ def error_weight(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:
 
 
 class ColorSolver:
-    """Base colour maps of side `size` for one shading of the observed pixels."""
+    """Base colour maps for one shading of the observed pixels, from `begin` (t, t, 3)."""
 
-    def __init__(self, observations: Observations, shading: Shading, size: int):
-        self.observations = observations
+    def __init__(self, pixels: MapPixels, shading: Shading, begin: np.ndarray):
+        self.pixels = pixels
         self.shading = shading
-        self.size = size
-        self.at_pixels = bilinear_matrix(observations.uv, size)
-        self.at_texels = self.at_pixels.T.tocsr()
-        # grazing views smear: their pixels cover many texels
-        self.cosine: np.ndarray = observations.cosine[:, None].astype(np.float32)
+        self.begin = begin
 
-    def onto(self, values: np.ndarray) -> np.ndarray:
-        """Sums (t, t, c) over each texel's pixels of values (n, c)."""
-        return (self.at_texels @ values).reshape(self.size, self.size, -1)
+    def under(self, factor: float) -> ColorSolver:
+        """The same under a light brighter by a factor."""
+        shading = Shading(factor * self.shading.scaled, factor * self.shading.rest)
+        return self if factor == 1 else ColorSolver(self.pixels, shading, self.begin)
 
     def picture(self, color: np.ndarray) -> np.ndarray:
         """Radiance (n, 3) of all pixels."""
-        scaled = self.at_pixels @ color.reshape(-1, 3)
-        return (scaled * self.shading.scaled + self.shading.rest).astype(np.float32)
+        scaled = self.pixels.of(color) * self.shading.scaled
+        return (scaled + self.shading.rest).astype(np.float32)
 
     def photo(self, picture: np.ndarray) -> np.ndarray:
         """What the photos say (n, 3); where they are saturated, the larger of it and `picture`."""
-        seen = self.observations.rgb
-        return np.where(self.observations.clipped, np.maximum(seen, picture), seen)
+        observations = self.pixels.observations
+        seen = observations.rgb
+        return np.where(observations.clipped, np.maximum(seen, picture), seen)
 
     def mean(self, weight: np.ndarray, photo: np.ndarray, sharpness: Sharpness) -> np.ndarray:
         """Colours (t, t, 3) of the photos (n, 3), pixels weighted by (n, 3)."""
-        lit = self.onto(weight * self.shading.scaled)
-        pixels = self.onto(np.asarray(weight[:, :1] > 0, np.float32))
-        color = np.zeros((self.size, self.size, 3), np.float32)
-        for _ in range(1 + sharpness.passes):
-            left = self.onto(weight * (photo - self.picture(color)))
-            color = color + coarse_to_fine(TexelSums(left, lit, pixels), sharpness.around)
+        onto, side = self.pixels.onto, self.pixels.size
+        lit = onto(weight * self.shading.scaled)
+        count = onto(np.asarray(weight[:, :1] > 0, np.float32))
+        color, picture = np.zeros((side, side, 3), np.float32), self.shading.rest
+        for k in range(1 + sharpness.passes):
+            if k:
+                picture = self.picture(color)
+            left = onto(weight * (photo - picture))
+            color = color + coarse_to_fine(TexelSums(left, lit, count), sharpness.around)
             color = np.clip(color, 0, ALBEDO_MAX).astype(np.float32)
         return color
 
-    def robust(
-        self, begin: np.ndarray, unseen: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, float]:
+    def robust(self, unseen: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, float]:
         """Usual colours (t, t, 3), the pixels' weights (n, 3), and the mean squared relative error
         of the picture that `begin` makes. Pixels `unseen` (n,) have weight 0.
 
         Weights forget pixels which other views contradict (Cauchy's, Holland and Welsch 1977):
         occlusion edges, slightly wrong cameras, highlights in the wrong place.
         """
-        color = begin
+        color = self.begin
         # the first solve trusts all pixels: its errors are those of `begin`
-        known = self.cosine if unseen is None else np.where(unseen[:, None], 0, self.cosine)
+        cosine = self.pixels.cosine
+        known = cosine if unseen is None else np.where(unseen[:, None], 0, cosine)
         trust = known
         losses: list[float] = []
         for contradiction in CONTRADICTIONS:
@@ -191,27 +188,32 @@ class ColorSolver:
             color = self.mean(weight, photo, USUAL)
         return color, weight, losses[0]
 
-    def sharpest_that_holds(self, begin: np.ndarray) -> Sharpness:
+    @cached_property
+    def judges(self) -> np.ndarray | None:
+        """Which pixels (n,) are of every EVERY-th view; None where those are all views or none."""
+        judge = self.pixels.observations.view % EVERY == 0
+        return None if judge.all() or not judge.any() else judge
+
+    @cached_property
+    def by_other_views(self) -> tuple[np.ndarray, np.ndarray]:
+        """`robust` colours and weights without the pixels that judge."""
+        color, weight, _ = self.robust(self.judges)
+        return color, weight
+
+    def sharpest_that_holds(self) -> Sharpness:
         """Of CHOICES the one whose map, made from the other views, explains every EVERY-th best;
         there all pixels count, as they do in a score.
         """
-        judge = judges(self.observations)
-        if judge is None:
+        if self.judges is None:
             return USUAL
 
-        color, weight, _ = self.robust(begin, judge)
+        color, weight = self.by_other_views
         photo = self.photo(self.picture(color))
         errors = []
         for sharpness in CHOICES:
             picture = self.picture(self.mean(weight, photo, sharpness))
-            errors.append(float((log_error(picture, photo)[judge] ** 2).mean()))
+            errors.append(float((log_error(picture, photo)[self.judges] ** 2).mean()))
         return CHOICES[int(np.argmin(errors))]
-
-
-def judges(observations: Observations) -> np.ndarray | None:
-    """Which pixels (n,) are of every EVERY-th view; None where those are all views or none."""
-    judge = observations.view % EVERY == 0
-    return None if judge.all() or not judge.any() else judge
 
 
 def log_error(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:
@@ -230,54 +232,44 @@ def share_at_limit(color: np.ndarray) -> float:
     return float((color >= 0.99 * ALBEDO_MAX).any(1).mean())
 
 
-def brighter_light(observations: Observations, shading: Shading, begin: np.ndarray) -> float:
-    """Factor >= 1 by which the light of `shading` must be brighter for base colours <= 1 to explain
+def brighter_light(solver: ColorSolver) -> float:
+    """Factor >= 1 by which the solver's light must be brighter for base colours <= 1 to explain
     the photos. Those of BRIGHTER are tried until fewer than AT_LIMIT of the pixels show a colour at
     its limit. Of them it is the least whose colours, made from the other views, explain every
-    EVERY-th as well as the best one's, up to CLEAR_GAIN of the error. `begin` (t, t, 3).
+    EVERY-th as well as the best one's, up to CLEAR_GAIN of the error.
 
     A light that is too dim would be made up for by colours above 1, which there are not. The error
     is a score's, squared, of sRGB values: it counts what is far too dark, as parts at the limit
     are, and a mean of |log| hardly does.
     """
-    judge = judges(observations)
+    judge = solver.judges
     if judge is None:
         return 1.0
 
     errors: list[float] = []
     for factor in BRIGHTER:
-        brighter = Shading(factor * shading.scaled, factor * shading.rest)
-        solver = ColorSolver(observations, brighter, len(begin))
-        color, _, _ = solver.robust(begin, judge)
-        picture = solver.picture(color)
-        errors.append(squared_srgb_error(picture[judge], solver.photo(picture)[judge]))
-        if share_at_limit(gather(color, observations.uv)) < AT_LIMIT:
+        tried = solver.under(factor)
+        color, _ = tried.by_other_views
+        picture = tried.picture(color)
+        errors.append(squared_srgb_error(picture[judge], tried.photo(picture)[judge]))
+        if share_at_limit(solver.pixels.of(color)) < AT_LIMIT:
             break
     good_enough = np.array(errors) * (1 - CLEAR_GAIN) <= min(errors)
     return BRIGHTER[int(np.argmax(good_enough))]
 
 
-def color_map(
-    observations: Observations,
-    shading: Shading,
-    begin: np.ndarray,
-    sharpness: Sharpness | None = None,
-) -> tuple[np.ndarray, dict]:
-    """Base colour map (t, t, 3) by robust means, from `begin` (t, t, 3). Without `sharpness` it is
-    chosen.
+def color_map(solver: ColorSolver, sharpness: Sharpness | None = None) -> tuple[np.ndarray, dict]:
+    """Base colour map (t, t, 3) by robust means. Without `sharpness` it is chosen.
 
     Texels that no pixel falls on take the nearest seen one's colour. Facts: `loss`, the mean
-    squared relative error of the picture that `begin` makes; the sharpness.
+    squared relative error of the picture that the solver's `begin` makes; the sharpness.
     """
-    size = begin.shape[0]
-    solver = ColorSolver(observations, shading, size)
-    color, weight, loss = solver.robust(begin)
-
+    color, weight, loss = solver.robust()
     photo = solver.photo(solver.picture(color))
     if sharpness is None:
-        sharpness = solver.sharpest_that_holds(begin)
+        sharpness = solver.sharpest_that_holds()
     color = solver.mean(weight, photo, sharpness)
-    return fill(color, seen_texels(observations.uv, size)), {
+    return fill(color, solver.pixels.seen), {
         "loss": loss,
         "around": sharpness.around,
         "passes": sharpness.passes,

@@ -35,8 +35,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.posterior.base_color import USUAL, color_map
+from pipeline.posterior.base_color import USUAL, ColorSolver, color_map
 from pipeline.posterior.left_out import Fold, gain, squared_error, surely
+from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.shading import Shading
 from pipeline.posterior.split_gibbs.regions import group, texel_regions
@@ -50,8 +51,8 @@ SAME_COLOR = 0.95  # share of the colours' spread that bodies explain: one too m
 METAL = 0.5  # metallic from which on a texel is of metal
 
 # an explanation that a base colour can be solved from, and what its light and gloss give to the
-# observed pixels of a problem, from paths through so many of them
-Shade = Callable[[Problem, Explanation, int], tuple[Explanation, Shading]]
+# observed pixels of a problem, which are places on its maps too, from paths through so many of them
+Shade = Callable[[Problem, MapPixels, Explanation, int], tuple[Explanation, Shading]]
 
 
 @dataclass(frozen=True)
@@ -154,25 +155,33 @@ class Jury:
         together = np.unique(np.concatenate([fold.kept for fold in parts]))
         self.kept = problem.with_pixels(together)
         self.of_fold = [np.searchsorted(together, fold.kept) for fold in parts]
+        side = problem.renderer.texture
+        self.on_map = MapPixels(self.kept.observations, side)
+        self.fold_on_map = [
+            MapPixels(self.kept.observations.with_pixels(index), side) for index in self.of_fold
+        ]
         self.pixels = round(pixels * len(together) / len(parts[0].kept))
 
     def errors(self, x: Explanation) -> tuple[np.ndarray, Explanation]:
         """Squared errors (n,) of the judged pixels of all folds, each under base colours from its
         other photos; and the first fold's explanation, which begins as `x`.
         """
-        begin, shading = self.shade(self.kept, x, self.pixels)
-        solved = [self.colored(begin, shading, index) for index in self.of_fold]
+        begin, shading = self.shade(self.kept, self.on_map, x, self.pixels)
+        solved = [self.colored(begin, shading, fold) for fold in range(len(self.parts))]
         errors = [
             squared_error(self.problem, y, fold.judged, self.seed)
             for fold, y in zip(self.parts, solved)
         ]
         return np.concatenate(errors), solved[0]
 
-    def colored(self, begin: Explanation, shading: Shading, index: np.ndarray) -> Explanation:
-        """`begin` with the base colour that the kept pixels `index` show under a shading of all."""
-        some = self.kept.observations.with_pixels(index)
+    def colored(self, begin: Explanation, shading: Shading, fold: int) -> Explanation:
+        """`begin` with the base colour that the kept pixels of a fold show under a shading of all
+        folds'.
+        """
+        index = self.of_fold[fold]
         of_some = Shading(shading.scaled[index], shading.rest[index])
-        return replace(begin, base_color=color_map(some, of_some, begin.base_color, USUAL)[0])
+        solver = ColorSolver(self.fold_on_map[fold], of_some, begin.base_color)
+        return replace(begin, base_color=color_map(solver, USUAL)[0])
 
 
 def climb(

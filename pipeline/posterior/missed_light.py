@@ -23,10 +23,11 @@ from functools import partial
 
 import numpy as np
 
-from pipeline.posterior.base_color import ColorSolver, TexelSums, coarse_to_fine
+from pipeline.posterior.base_color import TexelSums, coarse_to_fine
+from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.shading import LEAST, Shading
-from pipeline.posterior.textures import gather, seen_texels
+from pipeline.posterior.textures import closed_gaps, gather
 from pipeline.render.renderer import Explanation
 
 # paths that a texel's surroundings count as, at every level: one path's error is about as large
@@ -42,12 +43,14 @@ def unmetallic_pixels(problem: Problem, explanation: Explanation) -> np.ndarray:
     return np.flatnonzero(metallic < METAL)
 
 
-def paths_for(problem: Problem, pixels: np.ndarray, side: int, texel_paths: float) -> int:
-    """How many paths are `texel_paths` for every texel of a map of that side that these pixels
-    show, or for every one of them where they are fewer.
+def paths_for(pixels: MapPixels, some: np.ndarray, texel_paths: float) -> int:
+    """How many paths are `texel_paths` for every texel that the pixels `some` (numbers) show, or
+    for every one of them where they are fewer.
     """
-    texels = int(seen_texels(problem.observations.uv[pixels], side).sum())
-    return round(texel_paths * min(texels, len(pixels)))
+    chosen = np.zeros_like(pixels.cosine)
+    chosen[some] = 1
+    texels = int(closed_gaps(pixels.onto(chosen)[..., 0]).sum())
+    return round(texel_paths * min(texels, len(some)))
 
 
 def single_paths(
@@ -86,6 +89,7 @@ def in_chunks(index: np.ndarray) -> list[np.ndarray]:
 
 def with_missed_light(
     problem: Problem,
+    pixels: MapPixels,
     explanation: Explanation,
     shading: Shading,
     texel_paths: float,
@@ -93,25 +97,23 @@ def with_missed_light(
 ) -> Shading:
     """`shading` of the explanation, with what paths through single pixels, `texel_paths` for every
     texel, show beyond it added to D where the surface is no metal. Its base colour must not be zero
-    anywhere.
+    anywhere. pixels: the problem's, on maps of the base colour's size.
     """
-    pixels = unmetallic_pixels(problem, explanation)
-    paths = paths_for(problem, pixels, len(explanation.base_color), texel_paths)
+    some = unmetallic_pixels(problem, explanation)
+    paths = paths_for(pixels, some, texel_paths)
     if not paths:
         return shading
-    uv = problem.observations.uv
-    color = gather(explanation.base_color, uv)
-    dielectric = 1 - gather(explanation.metallic, uv)
-    radiance, made = single_paths(problem, explanation, pixels, paths, rng)
+    color = pixels.of(explanation.base_color)
+    dielectric = 1 - gather(explanation.metallic, problem.observations.uv)
+    radiance, made = single_paths(problem, explanation, some, paths, rng)
     diffuse = color * shading.scaled
     missed = radiance - made * (diffuse + shading.rest)
 
-    solver = ColorSolver(problem.observations, shading, len(explanation.base_color))
     share = diffuse / np.maximum(diffuse + shading.rest, diffuse)
-    weight = solver.cosine * dielectric * share**2
+    weight = pixels.cosine * dielectric * share**2
     sums = TexelSums(
-        solver.onto(weight * missed), solver.onto(weight * made * color), solver.onto(made)
+        pixels.onto(weight * missed), pixels.onto(weight * made * color), pixels.onto(made)
     )
-    more = solver.at_pixels @ coarse_to_fine(sums, AROUND).reshape(-1, 3)
+    more = pixels.of(coarse_to_fine(sums, AROUND))
     scaled = np.maximum(shading.scaled + dielectric * more, LEAST)
     return Shading(scaled.astype(np.float32), shading.rest)

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation, Gradient, LossAndSlope, Renderer
-from pipeline.render.shading_normals import shading_frames
+from pipeline.render.shading_normals import shading_normals
 
 SHADE = 0.1  # radiance (photo white = 1) below which errors count absolutely
 ALBEDO_MAX = 0.98  # a brighter base colour would never come to rest in multi-bounce light
@@ -63,7 +63,7 @@ class Problem:
         if self._normals is None:
             rays = self.observations.centre_rays(np.arange(len(self.observations)))
             si = self.renderer.scene.ray_intersect(mitsuba_rays(*rays))
-            self._normals = shading_frames(si, self.renderer.surface)[:, 2]
+            self._normals = shading_normals(si, self.renderer.surface)
         return self._normals
 
     def with_pixels(self, index: np.ndarray) -> Problem:

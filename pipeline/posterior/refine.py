@@ -26,6 +26,7 @@ from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
 from pipeline.posterior.base_color import (
     USUAL,
+    ColorSolver,
     Sharpness,
     brighter_light,
     color_map,
@@ -33,6 +34,7 @@ from pipeline.posterior.base_color import (
 )
 from pipeline.posterior.ladder import climb
 from pipeline.posterior.left_out import folds
+from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.missed_light import with_missed_light
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import Shading, shade
@@ -58,16 +60,21 @@ def units(settings: Refine) -> int:
 
 
 def shading_by_color(
-    problem: Problem, explanation: Explanation, pixels: int, rng: np.random.Generator
+    problem: Problem,
+    on_map: MapPixels,
+    explanation: Explanation,
+    pixels: int,
+    rng: np.random.Generator,
 ) -> tuple[Explanation, Shading]:
     """The explanation with base colours that a solve can begin from, and what its light and gloss
-    give to every pixel, from paths through `pixels` pixels.
+    give to every pixel, from paths through `pixels` pixels. on_map: the problem's pixels on maps of
+    the base colour's size.
     """
     begin = np.clip(explanation.base_color, DARKEST_START, ALBEDO_MAX).astype(np.float32)
     explanation = replace(explanation, base_color=begin)
     shading = shade(problem, explanation, pixels, rng)
     metallic = gather(explanation.metallic, problem.observations.uv)
-    return explanation, shared_between_photos(problem.observations, shading, metallic, len(begin))
+    return explanation, shared_between_photos(on_map, shading, metallic)
 
 
 def solve_base_color(
@@ -86,14 +93,14 @@ def solve_base_color(
     the ground is known, and so the light's scale. `sharpness` and the facts are those of
     `color_map`, and `brighter`, the light's factor.
     """
-    begin, shading = shading_by_color(problem, explanation, pixels, rng)
+    on_map = MapPixels(problem.observations, len(explanation.base_color))
+    begin, shading = shading_by_color(problem, on_map, explanation, pixels, rng)
     if texel_paths:
-        shading = with_missed_light(problem, begin, shading, texel_paths, rng)
-    factor = 1.0
+        shading = with_missed_light(problem, on_map, begin, shading, texel_paths, rng)
+    solver, factor = ColorSolver(on_map, shading, begin.base_color), 1.0
     if brighter and problem.renderer.ground is None:
-        factor = brighter_light(problem.observations, shading, begin.base_color)
-        shading = Shading(factor * shading.scaled, factor * shading.rest)
-    color, facts = color_map(problem.observations, shading, begin.base_color, sharpness)
+        factor = brighter_light(solver)
+    color, facts = color_map(solver.under(factor), sharpness)
     light = (factor * begin.light).astype(np.float32)
     return replace(begin, base_color=color, light=light), facts | {"brighter": factor}
 
@@ -165,7 +172,7 @@ def judged_gloss(
         return explanation, everywhere, {"gloss": {"why": why}}
 
     few = settings.shading_pixels // FEWEST
-    shade_of = lambda of, x, pixels: shading_by_color(of, x, pixels, rng)
+    shade_of = lambda of, on_map, x, pixels: shading_by_color(of, on_map, x, pixels, rng)
     found, maps, facts = climb(problem, explanation, parts, shade_of, few, rng)
     if maps.any():  # they are moved from colours of their own, not from those of a matt surface
         some = problem.with_pixels(some_pixels(problem, rng))

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from pipeline.posterior.problem import Problem, renderer_seed
-from pipeline.posterior.textures import gather
+from pipeline.posterior.textures import bilinear, gather
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation
 
@@ -137,15 +137,12 @@ class Cells:
         weighted = self.coefficients.reshape(rows, columns, -1) * weight
         table = np.concatenate([weighted, weight], -1).reshape(rows * columns, -1)
 
-        total = np.zeros((len(at), table.shape[1]))
-        for right, down in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            column, row = (np.floor(at).astype(int) + [right, down]).T
-            share = (1 - np.abs(at[:, 0] - column)) * (1 - np.abs(at[:, 1] - row))
-            cell = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
-            total += share[:, None] * table[cell]
-
+        total = bilinear(at[:, 0], at[:, 1], rows, columns) @ table.astype(np.float32)
         local = (total[:, :-1] / np.maximum(total[:, -1:], 1e-12)).reshape(-1, terms, channels)
-        return local[:, 0] + np.einsum("ng,ngc->nc", guide, local[:, 1:])
+        out = local[:, 0]
+        for k, value in enumerate(guide.T, 1):
+            out = out + value[:, None] * local[:, k]
+        return out
 
 
 def regress(at: np.ndarray, guide: np.ndarray, values: np.ndarray, end: np.ndarray) -> Cells:

@@ -39,17 +39,24 @@ def bilinear_matrix(uv: np.ndarray, size: int) -> sparse.csr_matrix:
     """(n, size^2) matrix that takes a map's texels in row-major order to bilinear values at uv
     (n, 2): `gather` as a matrix, `splat` its transpose. For many products with the same uv.
     """
-    x, y = texel_position(uv, size)
-    texels, weights = [], []
+    return bilinear(*texel_position(uv, size), size, size)
+
+
+def bilinear(x: np.ndarray, y: np.ndarray, rows: int, columns: int) -> sparse.csr_matrix:
+    """(n, rows columns) matrix, float32, that takes the values of a grid in row-major order to
+    bilinear ones at columns x and rows y (n,), 0 at the centre of the first; those of the border
+    beyond it.
+    """
+    places, weights = [], []
     for right, down in ((0, 0), (0, 1), (1, 0), (1, 1)):
         column = np.floor(x).astype(np.int32) + right
         row = np.floor(y).astype(np.int32) + down
         weights.append((1 - np.abs(x - column)) * (1 - np.abs(y - row)))
-        texels.append(np.clip(row, 0, size - 1) * size + np.clip(column, 0, size - 1))
+        places.append(np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1))
 
-    four = np.arange(0, 4 * len(uv) + 1, 4)
-    parts = (np.stack(weights, 1).ravel().astype(np.float32), np.stack(texels, 1).ravel(), four)
-    return sparse.csr_matrix(parts, (len(uv), size * size))
+    four = np.arange(0, 4 * len(x) + 1, 4)
+    parts = (np.stack(weights, 1).ravel().astype(np.float32), np.stack(places, 1).ravel(), four)
+    return sparse.csr_matrix(parts, (len(x), rows * columns))
 
 
 def gather(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
@@ -80,6 +87,10 @@ def seen_texels(uv: np.ndarray, size: int) -> np.ndarray:
     """Texels (size, size) that a pixel of texture coordinates uv (n, 2) falls next to, and gaps of
     a texel between those; padding between charts stays unseen.
     """
-    seen = splat(uv, np.ones((len(uv), 1)), size)[..., 0] > 1e-3
-    closed = cv2.morphologyEx(seen.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    return closed.astype(bool)
+    return closed_gaps(splat(uv, np.ones((len(uv), 1)), size)[..., 0])
+
+
+def closed_gaps(count: np.ndarray) -> np.ndarray:
+    """`seen_texels` from how many pixels fall next to each texel, (size, size)."""
+    seen = (count > 1e-3).astype(np.uint8)
+    return cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(bool)

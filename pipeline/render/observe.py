@@ -265,9 +265,11 @@ class Observations:
         stops = data["stops"] if "stops" in data else np.zeros((len(names), 3))
         self.stops = dict(zip(names, stops))
 
-        self.origin = np.stack([view.position for view in self.views])
-        self.turn = np.stack([view.world_to_camera[:3, :3] for view in self.views])
-        self.lens = np.array([[view.fx, view.fy, view.cx, view.cy] for view in self.views])
+        # in single precision, as rays are traced: there are millions of them
+        single = lambda values: np.array(values, np.float32)
+        self.origin = single([view.position for view in self.views])
+        self.turn = single([view.world_to_camera[:3, :3] for view in self.views])
+        self.lens = single([[view.fx, view.fy, view.cx, view.cy] for view in self.views])
 
     def __len__(self) -> int:
         return len(self.view)
@@ -296,11 +298,10 @@ class Observations:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Rays through the pixels' corners of least column and row, plus `offset`."""
         view = self.view[index]
-        at = self.pixel[index] + offset
+        column, row = np.moveaxis((self.pixel[index] + offset).astype(np.float32), -1, 0)
         fx, fy, cx, cy = np.moveaxis(self.lens[view], -1, 0)
 
-        in_camera = np.stack(
-            [(at[..., 0] - cx) / fx, (at[..., 1] - cy) / fy, np.ones(index.shape)], -1
-        )
-        in_camera /= np.linalg.norm(in_camera, axis=-1, keepdims=True)
-        return self.origin[view], np.einsum("...i,...ij->...j", in_camera, self.turn[view])
+        x, y = (column - cx) / fx, (row - cy) / fy
+        along_x, along_y, along_z = (axis[view] for axis in np.moveaxis(self.turn, 1, 0))
+        ahead = x[..., None] * along_x + y[..., None] * along_y + along_z
+        return self.origin[view], ahead / np.sqrt(x**2 + y**2 + 1)[..., None]

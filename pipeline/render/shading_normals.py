@@ -1,4 +1,4 @@
-"""The normal map in the renderer: Mitsuba's `normalmap` around a material, and the shading frames
+"""The normal map in the renderer: Mitsuba's `normalmap` around a material, and the shading normals
 that it gives, for the transport operator.
 
 Mitsuba's shadowing of tilted normals (Estevez et al. 2019) stays off: UsdPreviewSurface has none.
@@ -38,21 +38,16 @@ def with_normal_map(material: dict, surface: Surface) -> dict:
     }
 
 
-def shading_frames(si: Any, surface: Surface) -> np.ndarray:
-    """Shading frames (n, 3, 3) of interactions with the surface, their rows s, t and the normal in
-    the world frame; tilted by the normal map where there is one.
+def shading_normals(si: Any, surface: Surface) -> np.ndarray:
+    """Shading normals (n, 3) of interactions with the surface, in the world's frame; tilted by the
+    normal map where there is one.
 
     As in Mitsuba, a mapped normal that would turn away from the incident direction is tilted to the
     opposite side.
     """
-    axes = (si.sh_frame.s, si.sh_frame.t, si.sh_frame.n)
-    frame = np.stack([np.array(axis).T for axis in axes], 1)
     if surface.normals is None:
-        return frame
-
+        return np.array(si.sh_frame.n).T
     local = mi.load_dict(_texture(surface.normals)).eval_3(si) * 2 - 1
     away = si.wi.z * dr.dot(si.wi, local) <= 0
     normal = dr.normalize(dr.select(away, mi.Vector3f(-local.x, -local.y, local.z), local))
-    along = dr.normalize(mi.Vector3f(1, 0, 0) - normal * normal.x)
-    tilted = np.stack([np.array(axis).T for axis in (along, dr.cross(normal, along), normal)], 1)
-    return tilted @ frame
+    return np.array(si.sh_frame.to_world(normal)).T

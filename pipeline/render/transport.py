@@ -46,7 +46,7 @@ from pipeline.render.light_grid import bilinear, grid_directions, light_weights
 from pipeline.render.observe import Observations
 from pipeline.render.principled_lobes import LOBES, PrincipledLobes
 from pipeline.render.rows import CONE, Rows
-from pipeline.render.shading_normals import shading_frames
+from pipeline.render.shading_normals import shading_normals
 from pipeline.render.surroundings import Ground
 
 RAYS = 8  # of a row that is the mean over a patch
@@ -113,7 +113,7 @@ def meet(scene: Any, surface: Surface, rays: tuple[np.ndarray, np.ndarray]) -> H
     """First hits of rays, origins and directions (k, 3), on the mesh with its normal map."""
     si = scene.ray_intersect(mitsuba_rays(*rays))
     valid = np.array(si.is_valid()).astype(bool)
-    mapped = shading_frames(si, surface)[:, 2]
+    mapped = shading_normals(si, surface)
     return Hits(valid, np.array(si.p).T, mapped, np.array(si.sh_frame.n).T, rays[1])
 
 

@@ -17,12 +17,13 @@ from pipeline.posterior.base_color import (
     shared_between_photos,
     squared_srgb_error,
 )
+from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.move_gloss import ROUGHNESS_FACTOR, stay_near
 from pipeline.posterior.problem import SHADE
 from pipeline.posterior.refine import as_the_mesh_shows
 from pipeline.posterior.shading import Shading
-from pipeline.posterior.textures import bilinear_matrix, gather, splat
+from pipeline.posterior.textures import bilinear_matrix, gather, seen_texels, splat
 from pipeline.render.renderer import Explanation
 from tests.seeds import numpy_rng
 
@@ -47,6 +48,10 @@ def pixels_of(truth: np.ndarray, count: int, misplaced: float = 0.0) -> tuple:
         clipped=np.zeros((count, 3), bool),
     )
     return observations, shading
+
+
+def solver_of(observations, shading: Shading, begin: np.ndarray) -> ColorSolver:
+    return ColorSolver(MapPixels(observations, SIZE), shading, begin)
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +79,26 @@ def test_texels_without_pixels_take_the_colour_around_them():
     assert np.allclose(color, 0.3, atol=1e-4)
 
 
+def test_a_brighter_lights_colours_are_those_of_brighter_shading(truth):
+    observations, shading = pixels_of(truth, 4000)
+    solver = solver_of(observations, shading, truth)
+    bright = Shading(1.5 * shading.scaled, 1.5 * shading.rest)
+    alone = solver_of(observations, bright, truth)
+    assert np.array_equal(solver.under(1.5).robust()[0], alone.robust()[0])
+    assert solver.under(1) is solver
+
+
+def test_pixels_on_a_map_are_its_matrix(truth):
+    """To pixels and back, how many a texel has, and which texels are seen."""
+    observations, _ = pixels_of(truth, 3000)
+    pixels = MapPixels(observations, SIZE)
+    assert np.allclose(pixels.of(truth), gather(truth, observations.uv), atol=0.01)
+    ones = np.ones((3000, 1), np.float32)
+    assert np.allclose(pixels.onto(ones), splat(observations.uv, ones, SIZE), atol=1e-4)
+    assert np.allclose(pixels.count, pixels.onto(ones))
+    assert (pixels.seen == seen_texels(observations.uv, SIZE)).all()
+
+
 def test_one_pixels_highlight_leaves_no_dot():
     pixels = np.full((SIZE, SIZE, 1), 3, np.float32)
     shading = np.repeat(pixels, 3, 2)
@@ -98,8 +123,9 @@ def test_map_is_as_sharp_as_the_cameras_allow(truth):
     chosen = {}
     for misplaced in (0.0, 2.0):
         observations, shading = pixels_of(truth, 40000, misplaced)
-        color, chosen[misplaced] = color_map(observations, shading, begin)
-        mean, _, loss = ColorSolver(observations, shading, SIZE).robust(begin)
+        solver = solver_of(observations, shading, begin)
+        color, chosen[misplaced] = color_map(solver)
+        mean, _, loss = solver.robust()
         assert chosen[misplaced]["loss"] == loss
         if not misplaced:
             error = lambda image: np.abs(image - truth)[inside].mean()
@@ -112,7 +138,7 @@ def test_views_that_contradict_the_others_are_forgotten(truth):
     observations, shading = pixels_of(truth, 40000)
     observations.rgb[observations.view == 3] += 4.0
     begin = np.full((SIZE, SIZE, 3), 0.4, np.float32)
-    color, _ = color_map(observations, shading, begin)
+    color, _ = color_map(solver_of(observations, shading, begin))
     assert np.abs(color - truth)[6:-6, 6:-6].mean() < 0.05
 
 
@@ -121,11 +147,11 @@ def test_pixels_that_are_unseen_say_nothing(truth):
     observations, shading = pixels_of(truth, 40000)
     begin = np.full((SIZE, SIZE, 3), 0.4, np.float32)
     judge = observations.view % 5 == 0
-    color, weight, _ = ColorSolver(observations, shading, SIZE).robust(begin, judge)
+    color, weight, _ = solver_of(observations, shading, begin).robust(judge)
     assert (weight[judge] == 0).all() and (weight[~judge] > 0).all()
 
     observations.rgb[judge] *= 3
-    again, _, _ = ColorSolver(observations, shading, SIZE).robust(begin, judge)
+    again, _, _ = solver_of(observations, shading, begin).robust(judge)
     assert np.array_equal(color, again)
 
 
@@ -137,7 +163,7 @@ def test_what_a_third_of_the_photos_says_counts():
     observations, shading = pixels_of(truth, 40000)
     third = numpy_rng(2).random(40000) < 1 / 3
     observations.rgb[third] *= 2
-    color, _, _ = ColorSolver(observations, shading, SIZE).robust(truth)
+    color, _, _ = solver_of(observations, shading, truth).robust()
     more = color[6:-6, 6:-6].mean() / 0.3
     assert 1.2 < more < 1.35
 
@@ -148,12 +174,12 @@ def test_saturated_pixels_do_not_pull_the_colour_down():
     observations.clipped = observations.rgb > 0.6
     observations.rgb = np.minimum(observations.rgb, 0.6)
     assert observations.clipped.mean() > 0.5
-    color, facts = color_map(observations, shading, truth)
+    color, facts = color_map(solver_of(observations, shading, truth))
     assert facts["loss"] < 1e-6
     assert np.abs(color - truth).max() < 0.01
 
     observations.clipped[:] = False
-    color, _ = color_map(observations, shading, truth)
+    color, _ = color_map(solver_of(observations, shading, truth))
     assert color[6:-6, 6:-6].mean() < 0.45
 
 
@@ -163,7 +189,7 @@ def test_channels_that_are_not_saturated_say_all_they_know():
     observations, shading = pixels_of(truth, 40000)
     observations.clipped = observations.rgb > [0.5, 9, 9]
     observations.rgb = np.minimum(observations.rgb, [0.5, 9, 9]).astype(np.float32)
-    color, _ = color_map(observations, shading, np.full_like(truth, 0.98))
+    color, _ = color_map(solver_of(observations, shading, np.full_like(truth, 0.98)))
     assert np.abs(color - truth)[6:-6, 6:-6, 1:].max() < 0.01
 
 
@@ -175,7 +201,7 @@ def test_light_is_as_bright_as_colours_below_one_need(truth, times, found):
     observations, shading = pixels_of(np.clip(1.15 * truth, 0, 0.92), 40_000)
     dim = Shading(shading.scaled / times, shading.rest / times)
     begin = np.full((SIZE, SIZE, 3), 0.4, np.float32)
-    assert brighter_light(observations, dim, begin) == found
+    assert brighter_light(solver_of(observations, dim, begin)) == found
 
 
 def test_a_small_part_at_the_limit_raises_the_light():
@@ -184,8 +210,8 @@ def test_a_small_part_at_the_limit_raises_the_light():
     truth[24:34, 24:34] = 0.92
     observations, shading = pixels_of(truth, 40_000)
     dim = Shading(shading.scaled / 1.75, shading.rest / 1.75)
-    assert brighter_light(observations, dim, truth) >= 1.45
-    assert brighter_light(observations, shading, truth) == 1
+    assert brighter_light(solver_of(observations, dim, truth)) >= 1.45
+    assert brighter_light(solver_of(observations, shading, truth)) == 1
 
 
 def test_light_is_raised_for_colours_at_the_limit_only():
@@ -200,12 +226,12 @@ def test_light_is_raised_for_colours_at_the_limit_only():
     dull = Shading(shading.scaled / 1.15, np.repeat(0.5 * highlights, 3, 1))
 
     def error(factor):
-        solver = ColorSolver(observations, Shading(factor * dull.scaled, factor * dull.rest), SIZE)
-        color = solver.robust(truth)[0]
+        solver = solver_of(observations, dull, truth).under(factor)
+        color = solver.robust()[0]
         return squared_srgb_error(solver.picture(color), observations.rgb)
 
     assert error(1.75) < (1 - CLEAR_GAIN) * error(1.2) < (1 - CLEAR_GAIN) ** 2 * error(1.0)
-    assert brighter_light(observations, dull, truth) == 1.2
+    assert brighter_light(solver_of(observations, dull, truth)) == 1.2
 
 
 def test_gloss_stays_near_the_draw():
@@ -242,7 +268,7 @@ def test_shading_of_a_dielectric_is_shared_between_photos_and_of_a_metal_is_not(
     shading = Shading(noisy.astype(np.float32), np.full(smooth.shape, 0.05, np.float32))
 
     metallic = (observations.uv[:, :1] > 0.5).astype(np.float32)
-    shared = shared_between_photos(observations, shading, metallic, SIZE)
+    shared = shared_between_photos(MapPixels(observations, SIZE), shading, metallic)
     metal = metallic[:, 0] > 0
     error = lambda values: np.abs(values / smooth - 1)[~metal].mean()
     assert error(shared.scaled) < 0.35 * error(noisy)

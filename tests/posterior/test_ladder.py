@@ -33,8 +33,8 @@ def solve(problem, explanation):
     return solve_base_color(problem, explanation, 4000, numpy_rng(0))[0]
 
 
-def shaded(problem, explanation, pixels):
-    return shading_by_color(problem, explanation, pixels, numpy_rng(0))
+def shaded(problem, on_map, explanation, pixels):
+    return shading_by_color(problem, on_map, explanation, pixels, numpy_rng(0))
 
 
 def found(problem, explanation, seed=1):

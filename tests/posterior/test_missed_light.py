@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.posterior import missed_light
+from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.missed_light import paths_for, single_paths, with_missed_light
 from pipeline.posterior.shading import Shading, split_picture
 from pipeline.posterior.textures import gather, seen_texels
@@ -27,6 +28,10 @@ def shading(problem, matt):
     return Shading(*split_picture(problem, matt, everywhere, 64, numpy_rng(3)))
 
 
+def on_map(problem, side: int = 32) -> MapPixels:
+    return MapPixels(problem.observations, side)
+
+
 def by_texel(problem, values: np.ndarray) -> np.ndarray:
     """Mean of (n, 3) over the pixels nearest to each of 32 x 32 texels, and no others."""
     texel = (problem.observations.uv * 32).astype(int).clip(0, 31) @ [1, 32]
@@ -41,7 +46,7 @@ def test_what_all_photos_miss_is_put_right(problem, matt, shading):
     stripes = np.where(np.arange(32) % 4 < 2, 1.25, 0.75).astype(np.float32)
     wrong = gather(np.broadcast_to(stripes, (32, 32)), problem.observations.uv)
     smooth = replace(shading, scaled=shading.scaled * wrong)
-    found = with_missed_light(problem, matt, smooth, PATHS, numpy_rng(0))
+    found = with_missed_light(problem, on_map(problem), matt, smooth, PATHS, numpy_rng(0))
 
     true = by_texel(problem, shading.scaled)
     error = lambda of: np.abs(by_texel(problem, of.scaled) / true - 1).mean()
@@ -51,7 +56,7 @@ def test_what_all_photos_miss_is_put_right(problem, matt, shading):
 
 def test_few_paths_add_little_noise(problem, matt, shading):
     """One path a texel says next to nothing of one texel; the right D stays right."""
-    found = with_missed_light(problem, matt, shading, 1, numpy_rng(0))
+    found = with_missed_light(problem, on_map(problem), matt, shading, 1, numpy_rng(0))
     assert np.abs(found.scaled / shading.scaled - 1).mean() < 0.05
 
 
@@ -59,7 +64,7 @@ def test_a_metals_shading_is_left_as_it_is(problem, matt, shading):
     half = np.zeros((32, 32), np.float32)
     half[:, 16:] = 1
     both = replace(matt, metallic=half)
-    found = with_missed_light(problem, both, shading, 15, numpy_rng(0))
+    found = with_missed_light(problem, on_map(problem), both, shading, 15, numpy_rng(0))
     metal = gather(half, problem.observations.uv)[:, 0] == 1
     assert np.allclose(found.scaled[metal], shading.scaled[metal], rtol=1e-5)
     assert not np.allclose(found.scaled[~metal], shading.scaled[~metal], rtol=1e-3)
@@ -81,9 +86,9 @@ def test_paths_are_shared_out_among_all_pixels(problem, matt, monkeypatch, paths
 def test_paths_are_for_texels_that_are_seen_and_no_more_than_for_pixels(problem):
     pixels = np.arange(0, len(problem.observations), 2)
     seen = int(seen_texels(problem.observations.uv[pixels], 32).sum())
-    assert paths_for(problem, pixels, 32, 24) == 24 * seen
-    assert paths_for(problem, pixels, 1024, 24) == 24 * len(pixels)
-    assert paths_for(problem, pixels, 32, 0) == 0
+    assert paths_for(on_map(problem), pixels, 24) == 24 * seen
+    assert paths_for(on_map(problem, 1024), pixels, 24) == 24 * len(pixels)
+    assert paths_for(on_map(problem), pixels, 0) == 0
 
 
 def test_a_metal_takes_no_paths(problem, matt, shading, monkeypatch):
@@ -93,10 +98,14 @@ def test_a_metal_takes_no_paths(problem, matt, shading, monkeypatch):
     noted = lambda *args: asked.append(args[2]) or paths(*args)
     monkeypatch.setattr(missed_light, "single_paths", noted)
     metal = np.ones((32, 32), np.float32)
-    found = with_missed_light(problem, replace(matt, metallic=metal), shading, 1, numpy_rng(0))
+    found = with_missed_light(
+        problem, on_map(problem), replace(matt, metallic=metal), shading, 1, numpy_rng(0)
+    )
     assert found is shading and not asked
     metal[:, :16] = 0
-    with_missed_light(problem, replace(matt, metallic=metal), shading, 1, numpy_rng(0))
+    with_missed_light(
+        problem, on_map(problem), replace(matt, metallic=metal), shading, 1, numpy_rng(0)
+    )
     (pixels,) = asked
     assert 0 < len(pixels) < len(problem.observations)
     assert (gather(metal, problem.observations.uv[pixels]) < 1).all()
@@ -113,5 +122,5 @@ def test_what_a_highlight_is_wrong_by_is_not_light_on_the_surface(problem, matt,
         patch.setattr(missed_light, "single_paths", wrong)
         half = np.arange(len(paths)) % 2 == 0  # the other half of each texel's pixels is matt
         glossy.rest[half], radiance[half] = 0, (paths * color * glossy.scaled)[half]
-        found = with_missed_light(problem, matt, glossy, 1, numpy_rng(0))
+        found = with_missed_light(problem, on_map(problem), matt, glossy, 1, numpy_rng(0))
     assert np.abs(found.scaled / glossy.scaled - 1).mean() < 0.2

@@ -26,7 +26,7 @@ from pipeline.posterior.textures import bilinear_matrix
 from pipeline.render.envmap import directions, solid_angles
 from pipeline.render.light_grid import bilinear
 from pipeline.render.renderer import Explanation, Gradient, LossAndSlope, Renderer
-from pipeline.render.shading_normals import shading_frames
+from pipeline.render.shading_normals import shading_normals
 
 ROUGHNESS = np.linspace(0.05, 1.0, 8)  # levels that the light is prefiltered for
 COSINES = np.linspace(0.0, 1.0, 33)  # of the albedo's table
@@ -116,7 +116,7 @@ class Met:
         """side: texels along a side of the maps."""
         surface = renderer.scene.ray_intersect(mitsuba_rays(origins, outward))
         hit = np.array(surface.is_valid()).astype(np.float32)
-        normal = shading_frames(surface, renderer.surface)[:, 2]
+        normal = shading_normals(surface, renderer.surface)
         normal = np.where(hit[:, None] > 0, normal, -outward)  # any: such rays are black
         facing = -(normal * outward).sum(1, keepdims=True)
         normal = np.where(facing < 0, -normal, normal)  # both sides of a face are alike
