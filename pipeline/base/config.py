@@ -326,7 +326,7 @@ class Refine(Section):
         "interpolated",
     )
     texel_paths: float = Field(
-        24,
+        12,
         ge=0,
         le=10_000,
         description="paths for every texel of the base colour besides, which find the light in "

@@ -103,7 +103,16 @@ def rungs(x: Explanation, body: np.ndarray, uv: np.ndarray) -> list[Rung]:
     if metallic.any():
         found.append(Rung("one metal", medians(metallic)[body], flat(1)))
         found.append(Rung("as drawn", x.roughness, x.metallic))
-    return found
+    return unlike(found)
+
+
+def unlike(found: list[Rung]) -> list[Rung]:
+    """The first two rungs, and those above that are not the same as a simpler one: a single body's
+    gloss is the surface's.
+    """
+    same = lambda a, b: (a.roughness == b.roughness).all() and (a.metallic == b.metallic).all()
+    new = lambda k: not any(same(found[k], lower) for lower in found[:k])
+    return [rung for k, rung in enumerate(found) if k < EQUALLY_SIMPLE or new(k)]
 
 
 def climbed(errors: list[np.ndarray], block: np.ndarray) -> tuple[int, list[dict]]:

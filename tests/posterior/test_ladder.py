@@ -113,13 +113,25 @@ def test_rungs_begin_matt_and_end_as_drawn(two_bodies):
     truth, body = two_bodies
     drawn = with_gloss(truth, body, (0.5, 0.2), (0.0, 1.0))
     uv = numpy_rng(0).random((500, 2))
-    steps = rungs(drawn, body, uv)
-    assert [rung.name for rung in steps][:1] + [steps[-1].name] == ["matt", "as drawn"]
-    assert all((rung.metallic == 0).all() for rung in steps[:4])
-    assert np.ptp(steps[1].roughness) == 0 and steps[1].roughness[0, 0] == pytest.approx(0.5)
-    assert np.ptp(steps[4].roughness) == 0 and steps[4].roughness[0, 0] == pytest.approx(0.2)
-    none = replace(drawn, metallic=np.zeros_like(drawn.metallic))
-    assert [rung.name for rung in rungs(none, body, uv)][-1] == "gloss map"
+    steps = {rung.name: rung for rung in rungs(drawn, body, uv)}
+    # one body of dielectric: its gloss is the surface's
+    assert list(steps) == ["matt", "one gloss", "gloss map", "one metal", "as drawn"]
+    assert all((steps[name].metallic == 0).all() for name in list(steps)[:3])
+    for name, roughness in (("one gloss", 0.5), ("one metal", 0.2)):
+        assert np.ptp(steps[name].roughness) == 0
+        assert steps[name].roughness[0, 0] == pytest.approx(roughness)
+
+
+def test_a_rung_that_is_no_other_than_a_simpler_one_is_not_tried(two_bodies):
+    truth, body = two_bodies
+    uv, names = numpy_rng(0).random((500, 2)), lambda *at: [rung.name for rung in rungs(*at)]
+    two = with_gloss(truth, body, (0.5, 0.2), (0.0, 0.0))
+    one = with_gloss(truth, body, (0.5, 0.5), (0.0, 0.0))
+    metal = with_gloss(truth, body, (0.2, 0.2), (1.0, 1.0))
+    assert names(two, body, uv) == ["matt", "one gloss", "gloss of a body"]
+    assert names(two, np.zeros_like(body), uv) == ["matt", "one gloss", "gloss map"]
+    assert names(one, body, uv) == ["matt", "one gloss"]
+    assert names(metal, body, uv) == ["matt", "one gloss", "one metal"]
 
 
 def test_bodies_follow_colour_and_not_brightness_alone(two_bodies):
