@@ -356,7 +356,7 @@ rule report:
     resources:
         mem_mb=3000,
     params:
-        due=settings("report", "samples", "preset", "report", "render"),
+        due=settings("report", "samples", "preset", "report", "render", "refine", "observe"),
     shell:
         command(
             "report",

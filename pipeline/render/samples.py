@@ -16,6 +16,7 @@ from pipeline.base.images import linear_to_srgb
 from pipeline.render.draw_metrics import COMMON_ERROR, half_width
 from pipeline.render.renderer import Explanation
 
+MEAN = "mean"  # what the samples' mean is called among an asset's variants
 FEWEST = 2  # samples that say anything of spread
 LEVEL = 0.8  # share of the true values that an interval is meant to hold
 HARD = 0.9  # quantile of the texels that is said beside the median
@@ -67,6 +68,19 @@ class Spread:
         square = lambda x: tuple((part - m) ** 2 for part, m in zip(_compared(x), mean))
         deviation = (np.sqrt(part / (count - 1)) for part in _sum(square(x) for x in samples))
         return cls(count, *deviation)
+
+
+def mean_of(samples: Sequence[Explanation]) -> Explanation | None:
+    """The posterior mean, as far as the samples tell: means of radiance, linear base colour,
+    roughness and metallic. None for a single sample.
+
+    Of all light and maps it has the least expected squared error. It explains no photo by itself,
+    as every sample does, but where samples differ its errors are the smaller ones (docs/method.md).
+    """
+    if len(samples) < FEWEST:
+        return None
+    total = _sum((x.light, x.base_color, x.roughness, x.metallic) for x in samples)
+    return Explanation(*(part / np.float32(len(samples)) for part in total))
 
 
 Parts = tuple[np.ndarray, ...]

@@ -46,7 +46,7 @@ def warnings(facts: dict[str, dict]) -> list[str]:
     return out
 
 
-def summary(scene: Scene, facts: dict[str, dict]) -> list[tuple[str, str]]:
+def summary(scene: Scene, facts: dict[str, dict], mean: dict | None) -> list[tuple[str, str]]:
     """(name, value) of the figures at the top."""
     seconds = sum(fact.get("seconds", 0) for fact in facts.values())
     refined = [fact for stage, fact in facts.items() if stage.startswith("refine")]
@@ -58,7 +58,9 @@ def summary(scene: Scene, facts: dict[str, dict]) -> list[tuple[str, str]]:
         ("photos placed", f"{facts['poses']['registered']} of {facts['poses']['photos']}"),
     ]
     if scores:
-        score = f"{sum(scores) / len(scores):.1f} dB PSNR"
+        score = f"{sum(scores) / len(scores):.1f} dB PSNR a sample"
+        if mean and mean["held_out"] is not None:
+            score += f", {mean['held_out']:.1f} their mean"
     elif facts["observe"]["held_out"]:
         score = "none shows the object"
     else:
@@ -75,14 +77,16 @@ def page(
     facts: dict[str, dict],
     pictures: dict,
     samples: list[dict],
+    mean: dict | None,
     view: str,
     held: bool,
     said: dict,
 ) -> str:
     """The whole page as one string.
 
-    facts: stage -> its metrics; pictures, samples: encoded pictures of `pictures.Painter`; view:
-    name of the photo that is shown; held: whether no fit has seen it. said: `trust`, sentences on
+    facts: stage -> its metrics; pictures, samples, mean: encoded pictures of `pictures.Painter`,
+    the mean's with its score on held-out photos, None for one sample; view: name of the photo that
+    is shown; held: whether no fit has seen it. said: `trust`, sentences on
     how far the asset may be relied on; `enough`, whether there are samples enough, and `within`,
     how far base colours may be off, both empty for one sample.
     """
@@ -93,11 +97,12 @@ def page(
     return environment.get_template("page.html").render(
         usd=usd,
         facts=facts,
-        summary=summary(scene, facts),
+        summary=summary(scene, facts, mean),
         warnings=warnings(facts),
         choices=choices(facts),
         pictures=pictures,
         samples=samples,
+        mean=mean,
         **said,
         view=view,
         kind="held out: no fit has seen it" if held else "used in the fit",

@@ -4,7 +4,7 @@ is not, timings.
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,10 @@ import numpy as np
 from pipeline.base.config import Scene
 from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
-from pipeline.render.samples import Samples, Spread
+from pipeline.render.metrics import held_out_photos, score_held_out
+from pipeline.render.observe import Observations
+from pipeline.render.renderer import Explanation, Renderer
+from pipeline.render.samples import Samples, Spread, mean_of
 from pipeline.report.draws import color_facts, interval_words, relit_facts, samples_words
 from pipeline.report.html import page
 from pipeline.report.pictures import Painter, contact_sheet, normal_map, spread_pictures
@@ -30,6 +33,26 @@ def stage_facts(work: Path, samples: int) -> dict[str, dict]:
     return facts | {"export": read_json(work / "export.json")}
 
 
+@dataclass
+class HeldOut:
+    """What scores on held-out photos need (pipeline/render/metrics.py)."""
+
+    observations: Observations
+    renderer: Renderer
+
+
+def mean_held_out(work: Path, mean: Explanation, painter: Painter) -> float | None:
+    """PSNR in dB of the samples' mean on photos that were held out, scored as the refine stage
+    scores a sample; None without any.
+    """
+    poses, settings = work / "poses", painter.scene.refine
+    observations = Observations(work / "observe", poses / "cameras.json")
+    judge = HeldOut(observations, painter.renderer(mean, painter.ground))
+    photos = held_out_photos(judge, poses, work / "mesh", painter.scene.observe.erode)
+    scored = score_held_out(judge, mean, photos, settings.score_pixels, settings.score_spp)
+    return scored["held_out_psnr"]
+
+
 def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     """Render the pictures and write `out`. Returns metrics; raises InputError when a stage's result
     is missing.
@@ -42,6 +65,10 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     view = next((v for v in rig.views if held and v.name == held[0]), rig.views[0])
     painter = Painter(work, view, scene)
     samples = [painter.sample(x) for x in explanations]
+    mean = mean_of(explanations)
+    of_mean = None
+    if mean is not None:
+        of_mean = painter.sample(mean) | {"held_out": mean_held_out(work, mean, painter)}
     spread = Spread.of(explanations)
     pictures = {
         "photos": contact_sheet(work, rig),
@@ -63,11 +90,14 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     enough = samples_words(certain, scene.samples) if certain else ""
     within = interval_words(certain) if certain else ""
     said = {"trust": trust, "enough": enough, "within": within}
-    html = page(usd, scene, facts, pictures, samples, view.name, view.name in held, said)
+    shown = view.name, view.name in held
+    html = page(usd, scene, facts, pictures, samples, of_mean, *shown, said)
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
     metrics = {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": scene.samples}
     metrics |= certain
+    if of_mean:
+        metrics["mean_held_out_psnr"] = of_mean["held_out"]
     if found is None:
         return metrics | {"trust": None}
     return metrics | {"trust": asdict(found) | {"chance_of_failure": probability(found, model)}}

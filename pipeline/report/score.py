@@ -26,6 +26,7 @@ from pipeline.render.map_metrics import map_errors
 from pipeline.render.metrics import flip_map, psnr, render_twice
 from pipeline.render.observe import Tracer
 from pipeline.render.renderer import Explanation, Renderer
+from pipeline.render.samples import MEAN
 from pipeline.report.truth import MAPS, Picture, TrueView, Truth, outline_overlap
 from pipeline.usd.read import UsdAsset, open_stage, read_asset, variants_of
 
@@ -260,8 +261,8 @@ def renderer_of(asset: UsdAsset, folder: Path, light_rows: int) -> Renderer:
 def score_asset(
     path: Path, truth: Truth, spp: int = SPP, step: Callable[[], object] = lambda: None
 ) -> dict:
-    """Scores of every sample of a USD asset, and of all together where there are several. Raises
-    InputError where the file cannot be scored.
+    """Scores of every variant of a USD asset, and of all samples together where there are several.
+    Raises InputError where the file cannot be scored.
     """
     samples: dict[str, dict] = {}
     draws: list[Scored] = []
@@ -281,9 +282,11 @@ def score_asset(
                 )
             own = asset.explanation  # in the unit of the user's photos, as the truth's folder is
             seen = replace(own, light=own.light / truth.white)
-            draws.append(score_explanation(renderer, seen, truth, spp, step))
-        values = draws[-1].values | {"outline_overlap": overlap}
-        samples[variant or "asset"] = {"scores": values, "views": draws[-1].views}
+            scored = score_explanation(renderer, seen, truth, spp, step)
+        if variant != MEAN:
+            draws.append(scored)
+        values = scored.values | {"outline_overlap": overlap}
+        samples[variant or "asset"] = {"scores": values, "views": scored.views}
         notes += [note for note in asset.notes if note not in notes]
 
     together = score_draws(draws, truth) if len(draws) > 1 else {}

@@ -26,6 +26,7 @@ from pipeline.base.locks import alone
 from pipeline.geometry.mesh_io import Mesh
 from pipeline.geometry.surface import Surface
 from pipeline.render.renderer import Explanation
+from pipeline.render.samples import MEAN, Samples, mean_of
 from pipeline.usd.check import check
 from pipeline.usd.material import define_material
 from pipeline.usd.textures import Asset, write_textures
@@ -84,27 +85,30 @@ def define_light(stage: Usd.Stage, root: Usd.Prim) -> UsdLux.DomeLight:
     return light
 
 
-def write_variants(path: Path, name: str, mesh: Mesh, assets: list[Asset], facts: dict) -> None:
-    """The main file: one variant per sample. All that differs between samples, which texture
-    readers there are too, is told inside of the variants: what is told outside would be stronger.
+def write_variants(
+    path: Path, name: str, mesh: Mesh, assets: dict[str, Asset], facts: dict
+) -> None:
+    """The main file: one variant per asset, the first one selected. All that differs between them,
+    which texture readers there are too, is told inside of the variants: what is told outside would
+    be stronger.
     """
     stage, root = new_stage(path, name, facts)
     material = define_material(stage, root, define_mesh(stage, root, mesh))
     light = define_light(stage, root)
 
     variants = root.GetVariantSets().AddVariantSet("sample")
-    for k, asset in enumerate(assets):
-        variants.AddVariant(f"sample_{k}")
-        variants.SetVariantSelection(f"sample_{k}")
+    for variant, asset in assets.items():
+        variants.AddVariant(variant)
+        variants.SetVariantSelection(variant)
         with variants.GetVariantEditContext():
             material.dress(asset, "./")
             light.GetTextureFileAttr().Set(Sdf.AssetPath(f"./{asset.light}"))
-    variants.SetVariantSelection("sample_0")
+    variants.SetVariantSelection(next(iter(assets)))
     stage.GetRootLayer().Save()
 
 
 def write_flat(path: Path, name: str, mesh: Mesh, asset: Asset, facts: dict) -> None:
-    """One sample without any composition, beside its folder of textures; `asset`: relative to the
+    """One variant without any composition, beside its folder of textures; `asset`: relative to the
     file's folder.
     """
     stage, root = new_stage(path, name, facts)
@@ -137,19 +141,29 @@ def _earlier_export(folder: Path) -> None:
         )
 
 
-def in_unit(sample: Path, white: float) -> Explanation:
-    """The explanation in a folder with its light in the photos' unit, in which `white` is what its
-    1 stands for.
+def in_unit(x: Explanation, white: float) -> Explanation:
+    """The explanation with its light in the photos' unit, in which `white` is what its 1 stands
+    for.
     """
-    x = Explanation.load(sample)
     return replace(x, light=x.light * np.float32(white))
 
 
+def variants_from(samples: Samples) -> Iterator[tuple[str, Explanation]]:
+    """Name and explanation of every variant, one after another: the mean, where there are samples
+    enough, which is what a user sees first, and the samples.
+    """
+    mean = mean_of(samples)
+    if mean is not None:
+        yield MEAN, mean
+    for k, x in enumerate(samples):
+        yield f"sample_{k}", x
+
+
 def build(
-    folder: Path, scene: str, surface: Surface, samples: list[Path], facts: dict, white: float
-) -> None:
-    """Write <scene>.usda and <scene>/ into `folder`. RuntimeError when a file does not pass the
-    validators.
+    folder: Path, scene: str, surface: Surface, samples: Samples, facts: dict, white: float
+) -> str:
+    """Write <scene>.usda and <scene>/ into `folder`; returns the variant that is selected.
+    RuntimeError when a file does not pass the validators.
     """
     name = Tf.MakeValidIdentifier(scene)
     inside = folder / scene
@@ -160,30 +174,32 @@ def build(
         shutil.copy(surface.normal_map, inside / surface.normal_map.name)
         normal = f"{scene}/{surface.normal_map.name}"
 
-    assets = [
-        write_textures(in_unit(s, white), inside / f"sample_{k}", f"{scene}/sample_{k}", normal)
-        for k, s in enumerate(samples)
-    ]
-    for k, asset in enumerate(assets):
-        flat = inside / f"sample_{k}.usda"
-        write_flat(flat, name, mesh, asset.below(scene), facts | {"sample": k})
+    assets = {
+        variant: write_textures(in_unit(x, white), inside / variant, f"{scene}/{variant}", normal)
+        for variant, x in variants_from(samples)
+    }
+    for variant, asset in assets.items():
+        which = variant if variant == MEAN else int(variant.removeprefix("sample_"))
+        own = facts | {"sample": which}
+        write_flat(inside / f"{variant}.usda", name, mesh, asset.below(scene), own)
     write_variants(folder / f"{scene}.usda", name, mesh, assets, facts)
 
-    files = [folder / f"{scene}.usda"] + [inside / f"sample_{k}.usda" for k in range(len(samples))]
+    files = [folder / f"{scene}.usda"] + [inside / f"{variant}.usda" for variant in assets]
     problems = [p for f in files for p in check(f)]
     if problems:
         raise RuntimeError("the export does not pass the USD validators:\n" + "\n".join(problems))
+    return next(iter(assets))
 
 
-def package(folder: Path, scene: str) -> str | None:
-    """Pack sample 0 as <scene>.usdz in `folder`. Returns why there is none, or None when it is
+def package(folder: Path, scene: str, variant: str) -> str | None:
+    """Pack a variant as <scene>.usdz in `folder`. Returns why there is none, or None when it is
     there.
     """
-    source = Sdf.AssetPath(str(folder / scene / "sample_0.usda"))
+    source = Sdf.AssetPath(str(folder / scene / f"{variant}.usda"))
     target = folder / f"{scene}.usdz"
     packed = UsdUtils.CreateNewUsdzPackage(source, str(target))
 
-    why = "OpenUSD could not pack sample_0.usda"
+    why = f"OpenUSD could not pack {variant}.usda"
     if packed and target.exists():
         problems = check(target)
         if not problems:
@@ -212,8 +228,8 @@ def publish(folder: Path, out: Path) -> None:
 
 
 def export(atlas: Path, samples: list[Path], out: Path, facts: dict, white: float = 1.0) -> dict:
-    """Write `out` (exports/<scene>.usda), its folder and a .usdz of sample 0; an export that fails
-    leaves the old one alone.
+    """Write `out` (exports/<scene>.usda), its folder and a .usdz of the variant that is selected;
+    an export that fails leaves the old one alone.
 
     samples: folders with light.exr, base_color.exr, roughness.exr, metallic.exr; white: the
     radiance in the photos' unit that 1 stands for in them (`pipeline.photos.radiance`). Raises
@@ -222,8 +238,9 @@ def export(atlas: Path, samples: list[Path], out: Path, facts: dict, white: floa
     """
     surface = Surface.of(atlas / "mesh_uv.ply")
     with staging(out) as folder:
-        build(folder, out.stem, surface, samples, facts | {"samples": len(samples)}, white)
-        unpacked = package(folder, out.stem)
+        facts = facts | {"samples": len(samples)}
+        shown = build(folder, out.stem, surface, Samples(samples), facts, white)
+        unpacked = package(folder, out.stem, shown)
         publish(folder, out)
 
     size = sum(f.stat().st_size for f in out.with_suffix("").rglob("*") if f.is_file()) / 2**20

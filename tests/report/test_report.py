@@ -98,7 +98,11 @@ def finished_run(work: Path, ball: Path, views) -> Path:
         (work / "atlas" / f.name).symlink_to(f)
     for stage, facts in FACTS.items():
         write_json(work / stage / f"{stage}.json", facts | {"seconds": 1.5, "peak_gib": 0.25})
-    np.savez(work / "observe" / "observations.npz")  # nothing is known around the object
+    # nothing is known around the object; one pixel, for the photos held out are asked for here
+    pixel = {"pixel": np.zeros((1, 2)), "rgb": np.ones((1, 3)), "clipped": np.zeros((1, 3), bool)}
+    where = {"view": np.zeros(1, int), "uv": np.zeros((1, 2)), "cosine": np.ones(1)}
+    names = {"views": np.array(["v0", "v2", "v3"]), "held_out": np.array(["v1"])}
+    np.savez(work / "observe" / "observations.npz", **pixel, **where, **names)
     write_json(work / "export.json", {"seconds": 0.5})
     write_json(work / "atlas" / "atlas.json", {"utilisation": 0.6, "seconds": 2.0})
     save_cameras(work / "poses" / "cameras.json", Rig(views, np.zeros(3), 0.5, "sfm"))
@@ -130,11 +134,21 @@ def test_page_is_whole_and_self_contained(page):
     assert not re.search(r"https?://|//[a-z]+\.|@import|<script|" + re.escape(str(place)), html)
     for s in sources:  # every picture decodes
         Image.open(io.BytesIO(base64.b64decode(s.split(",", 1)[1]))).load()
-    # photos, masks, mesh, atlas, photo; 4 spreads; 3 lights + 6 pictures of each sample
-    assert len(sources) == 5 + 4 + 2 * 9
+    # photos, masks, mesh, atlas, photo; 4 spreads; 3 lights + 6 pictures of the mean, each sample
+    assert len(sources) == 5 + 4 + 3 * 9
     assert metrics["view"] == "v1" and metrics["mib"] < 8 and "held out: no fit has seen it" in html
     assert "variant sample_1 of mein &lt;garten&gt; é.usda" in html and "<garten>" not in html
     assert "30.5 dB PSNR" in html and "hull" in html and "stereo found too little" in html
+
+
+def test_the_mean_of_samples_comes_first_with_its_own_score(page, page_of_one):
+    """On the photo that was held out; it was rendered from sample 0, of two."""
+    metrics, html, _ = page
+    mean = metrics["mean_held_out_psnr"]
+    assert 10 < mean < 40 and f"30.5 dB PSNR a sample, {mean:.1f} their mean" in html
+    assert html.index("variant mean of") < html.index("variant sample_0 of")
+    metrics, html = page_of_one
+    assert "mean_held_out_psnr" not in metrics and "variant mean" not in html
 
 
 def test_a_scene_of_which_nothing_was_held_out_says_so(work, tmp_path):
@@ -210,7 +224,7 @@ def test_normal_map_is_on_the_page_where_there_is_one(page, work, tmp_path):
     make_report(work, tmp_path / "a.usda", tmp_path / "a.html", SCENE)
     html = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "normal map: what decimation took, 7.2 degrees" in html
-    assert html.count("data:image/") == 5 + 4 + 2 * 9 + 1
+    assert html.count("data:image/") == 5 + 4 + 3 * 9 + 1
 
 
 def test_one_sample_shows_no_spread(page_of_one):

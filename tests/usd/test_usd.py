@@ -8,6 +8,7 @@ from pxr import Usd, UsdShade
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr
 from pipeline.render.renderer import Explanation
+from pipeline.render.samples import mean_of
 from pipeline.usd.check import check
 from pipeline.usd.read import read_asset
 from pipeline.usd.write import export
@@ -69,7 +70,7 @@ def test_variants_switch_light_and_every_map(exported):
     _, out, _ = exported
     stage = Usd.Stage.Open(str(out))
     variants = stage.GetDefaultPrim().GetVariantSet("sample")
-    assert variants.GetVariantNames() == ["sample_0", "sample_1", "sample_2"]
+    assert variants.GetVariantNames() == ["mean", "sample_0", "sample_1", "sample_2"]
     for k in range(3):
         variants.SetVariantSelection(f"sample_{k}")
         assert len(files_of(stage)) == 4 and all(f"/sample_{k}/" in f for f in files_of(stage))
@@ -142,7 +143,7 @@ def test_without_a_package_the_export_stands_and_says_why(exported, ball, monkey
     assert not out.with_suffix(".usdz").exists()  # an older package would show an older result
 
 
-def test_package_holds_sample_0(exported):
+def test_package_holds_the_mean(exported):
     from pxr import Ar
 
     _, out, samples = exported
@@ -156,7 +157,32 @@ def test_package_holds_sample_0(exported):
         assert (
             Ar.GetResolver().OpenAsset(Ar.ResolvedPath(attribute.Get().resolvedPath)).GetSize() > 0
         )
-    assert stage.GetDefaultPrim().GetCustomDataByKey("heliograph")["sample"] == 0
+    assert stage.GetDefaultPrim().GetCustomDataByKey("heliograph")["sample"] == "mean"
+    flat = Usd.Stage.Open(str(out.with_suffix("") / "sample_1.usda"))
+    assert flat.GetDefaultPrim().GetCustomDataByKey("heliograph")["sample"] == 1
+
+
+def test_an_asset_opens_with_the_mean_of_its_samples(exported):
+    """Means of radiance and of linear base colour, in the main file and in one of its own."""
+    _, out, folders = exported
+    samples = [Explanation.load(folder) for folder in folders]
+    expected = mean_of(samples)
+    for part in ("light", "base_color", "roughness", "metallic"):
+        every = np.mean([getattr(x, part) for x in samples], 0)
+        np.testing.assert_allclose(getattr(expected, part), every, rtol=1e-5, atol=1e-6)
+    for asset in (read_asset(out), read_asset(out.with_suffix("") / "mean.usda")):
+        found = asset.explanation
+        np.testing.assert_allclose(found.light, expected.light, rtol=1e-5)
+        np.testing.assert_allclose(found.base_color, expected.base_color, atol=0.01)
+        np.testing.assert_allclose(found.roughness, expected.roughness, atol=0.003)
+
+
+def test_one_sample_has_no_mean(exported, ball):
+    _, out, folders = exported
+    export(ball, folders[:1], out, {"preset": "draft"})
+    stage = Usd.Stage.Open(str(out))
+    assert stage.GetDefaultPrim().GetVariantSet("sample").GetVariantNames() == ["sample_0"]
+    assert not (out.with_suffix("") / "mean.usda").exists() and out.with_suffix(".usdz").exists()
 
 
 def test_mesh_and_light_conventions(exported, ball):
@@ -264,7 +290,8 @@ def test_a_map_of_one_value_is_a_number_in_the_material(ball, tmp_path):
     export(ball, samples, out, {"preset": "draft"})
 
     written = {str(p.relative_to(out.parent / "a")) for p in out.parent.glob("a/*/*.png")}
-    assert written == {f"sample_{k}/base_color.png" for k in range(3)} | {"sample_0/roughness.png"}
+    colors = {f"{name}/base_color.png" for name in ("mean", "sample_0", "sample_1", "sample_2")}
+    assert written == colors | {"mean/roughness.png", "sample_0/roughness.png"}
     stage = Usd.Stage.Open(str(out))
     variants = stage.GetDefaultPrim().GetVariantSet("sample")
     for k, expected in enumerate((None, 0.3, 0.7001)):

@@ -1,0 +1,118 @@
+"""What the mean of a scene's samples is worth, beside the samples.
+
+python -m benchmarks.mean_of_samples --runs FOLDER --work WORK --preset standard --out rows.json
+python -m benchmarks.mean_of_samples --finished WORK --sets garden,banana --out rows.json
+
+FOLDER is one of benchmarks.parsimony on a suite, whose refined samples with `chosen` settings are
+scored against the truth (FOLDER/scenes); WORK/<scene>/atlas is the suite's. With --finished, WORK
+holds runs of the chain on photos without truth: what is scored are photos that were held out, as
+the refine stage scores them.
+
+A row: `scene`, `samples`, the scores of each, and `mean`, those of `samples.mean_of`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.scenes import machine
+from pipeline.base.config import parse_scene
+from pipeline.base.errors import InputError, run_stage
+from pipeline.base.files import read_json, write_json
+from pipeline.base.progress import progress
+from pipeline.base.runtime import set_threads
+from pipeline.posterior.choose.chosen import chosen_scene
+from pipeline.render.metrics import held_out_photos, score_held_out
+from pipeline.render.observe import Observations
+from pipeline.render.renderer import Explanation, Renderer
+from pipeline.render.samples import FEWEST, Samples, mean_of
+from pipeline.report.score import MAX_DEPTH, score_explanation
+from pipeline.report.truth import truth_of_work
+
+SPP = 32  # paths per pixel of pictures that are scored against the truth
+
+
+@dataclass
+class Judge:
+    """What scores on held-out photos need (pipeline/render/metrics.py)."""
+
+    observations: Observations
+    renderer: Renderer
+
+
+def samples_in(folder: Path) -> Samples:
+    """Refined samples 0, 1, ... of a folder. Raises InputError for fewer than two."""
+    count = len([path for path in folder.glob("*") if path.name.isdigit()])
+    if count < FEWEST:
+        raise InputError("there are fewer than two samples", folder, "draw more, samples: 2")
+    return Samples([folder / str(k) for k in range(count)])
+
+
+def with_mean(samples: Samples) -> list[Explanation]:
+    """The samples, and last their mean."""
+    mean = mean_of(samples)
+    assert mean is not None  # there are two at least
+    return [*samples, mean]
+
+
+def against_truth(runs: Path, work: Path, preset: str, name: str) -> dict:
+    """The row of a suite's scene."""
+    truth = truth_of_work(runs / "scenes" / name, work / name)
+    mesh, rows = work / name / "atlas" / "mesh_uv.ply", len(truth.known_light())
+    samples = samples_in(runs / "work" / name / preset / "chosen" / "refine")
+    scored = []
+    for x in with_mean(samples):
+        renderer = Renderer(mesh, len(x.base_color), rows, MAX_DEPTH)
+        scored.append(score_explanation(renderer, x, truth, SPP).values)
+    return {"scene": name, "preset": preset, "samples": scored[:-1], "mean": scored[-1]}
+
+
+def on_held_out(work: Path, preset: str) -> dict:
+    """The row of a finished run on photos."""
+    scene = chosen_scene(
+        parse_scene({"photos": work.name, "preset": preset}, work), work / "choose"
+    )
+    samples = samples_in(work / "refine")
+    first, poses, settings = samples[0], work / "poses", scene.refine
+    observations = Observations(work / "observe", poses / "cameras.json")
+    sizes = len(first.base_color), len(first.light), scene.render.max_depth
+    mesh, ground = work / "atlas" / "mesh_uv.ply", observations.surroundings.ground
+    judge = Judge(observations, Renderer(mesh, *sizes, ground))
+    photos = held_out_photos(judge, poses, work / "mesh", scene.observe.erode)
+    score = lambda x: score_held_out(judge, x, photos, settings.score_pixels, settings.score_spp)
+    scored = [{"held_out_psnr": score(x)["held_out_psnr"]} for x in with_mean(samples)]
+    return {"scene": work.name, "preset": preset, "samples": scored[:-1], "mean": scored[-1]}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--runs", type=Path, metavar="FOLDER", help="of benchmarks.parsimony")
+    parser.add_argument("--work", type=Path, default=Path("work"), help="of the suite's scenes")
+    parser.add_argument("--finished", type=Path, metavar="WORK", help="of runs on photos")
+    parser.add_argument("--sets", help="names of its scenes, with commas between")
+    parser.add_argument("--preset", default="standard")
+    parser.add_argument("--out", type=Path, required=True, help="JSON file for all rows")
+    args = parser.parse_args()
+    if bool(args.runs) == bool(args.finished) or bool(args.finished) != bool(args.sets):
+        raise InputError("give --runs, or --finished and --sets", "benchmarks", "see --help")
+
+    set_threads(1)
+    rows = read_json(args.out)["rows"] if args.out.exists() else []
+    if args.runs:
+        found = sorted(path.parent.parent.name for path in args.runs.glob("work/*/*/row.json"))
+        make = lambda name: against_truth(args.runs, args.work, args.preset, name)
+    else:
+        found = args.sets.split(",")
+        make = lambda name: on_held_out(args.finished / name, args.preset)
+    done = {row["scene"] for row in rows}
+    for name in progress([name for name in found if name not in done], "means of samples"):
+        rows.append(make(name))
+        write_json(args.out, {"machine": machine(), "rows": rows})
+
+
+if __name__ == "__main__":
+    run_stage(main)
