@@ -16,7 +16,16 @@ from benchmarks import (
 )
 from benchmarks.stability import limits as stability
 from benchmarks.study import pages as study_pages
-from benchmarks.tables import committed, common_error, hardening, pairs, priors, real_sets, scenes
+from benchmarks.tables import (
+    committed,
+    common_error,
+    hardening,
+    means,
+    pairs,
+    priors,
+    real_sets,
+    scenes,
+)
 from benchmarks.tables.committed import results, rows_of, source
 from benchmarks.work import tables as work_tables
 from pipeline.base.errors import InputError, nearest
@@ -82,6 +91,7 @@ TABLES: dict[str, Callable[[], str]] = {
     **real_sets.TABLES,
     **priors.TABLES,
     **hardening.TABLES,
+    **means.TABLES,
     **study_pages.TABLES,
     **{name: stability_table(make, "stability") for name, make in stability.TABLES.items()},
     "stability_s_limits": stability_table(stability.breaking_points, "stability_s"),
