@@ -14,7 +14,6 @@ A row: `scene`, `samples`, the scores of each, and `mean`, those of `samples.mea
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.scenes import machine
@@ -28,18 +27,11 @@ from pipeline.render.metrics import held_out_photos, score_held_out
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.render.samples import FEWEST, Samples, mean_of
+from pipeline.report.make import HeldOut
 from pipeline.report.score import MAX_DEPTH, score_explanation
 from pipeline.report.truth import truth_of_work
 
 SPP = 32  # paths per pixel of pictures that are scored against the truth
-
-
-@dataclass
-class Judge:
-    """What scores on held-out photos need (pipeline/render/metrics.py)."""
-
-    observations: Observations
-    renderer: Renderer
 
 
 def samples_in(folder: Path) -> Samples:
@@ -79,7 +71,7 @@ def on_held_out(work: Path, preset: str) -> dict:
     observations = Observations(work / "observe", poses / "cameras.json")
     sizes = len(first.base_color), len(first.light), scene.render.max_depth
     mesh, ground = work / "atlas" / "mesh_uv.ply", observations.surroundings.ground
-    judge = Judge(observations, Renderer(mesh, *sizes, ground))
+    judge = HeldOut(observations, Renderer(mesh, *sizes, ground))
     photos = held_out_photos(judge, poses, work / "mesh", scene.observe.erode)
     score = lambda x: score_held_out(judge, x, photos, settings.score_pixels, settings.score_spp)
     scored = [{"held_out_psnr": score(x)["held_out_psnr"]} for x in with_mean(samples)]
