@@ -28,7 +28,7 @@ from pipeline.base.errors import run_stage
 from pipeline.base.files import read_json
 
 COLUMNS = 6
-COLORS = {OURS: "#b4500f", "map": "#28507d", "dpi_paper": "#3c7d28"}
+COLORS = {OURS: "#b4500f", f"{OURS}_mean": "#e0a070", "map": "#28507d", "dpi_paper": "#3c7d28"}
 OTHER = "#777777"
 COVERAGE = "#999999"
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from benchmarks.markdown import number, pipe_table
 from benchmarks.stability.knobs import KNOBS
-from benchmarks.study.methods import METHODS, OURS
+from benchmarks.study.methods import METHODS, OURS, is_ours
 
 FALL = 3.0  # dB
 LEAST_COVERAGE = 0.4
@@ -118,13 +118,13 @@ def breaking_points(data: dict) -> str:
     return pipe_table(head + [f"`{method}`: intervals break at" for method in drawn], body)
 
 
-def ends(data: dict, base: str, method: str) -> dict[str, float]:
-    """By how many dB our default is ahead of a method at the hard end of every knob of which both
-    have a score there.
+def ends(data: dict, base: str, method: str, ours: str = OURS) -> dict[str, float]:
+    """By how many dB `ours` is ahead of a method at the hard end of every knob of which both have a
+    score there.
     """
     found = {}
     for name in knobs_in(data, base):
-        last = [curve(data, base, name, one)[-1:] for one in (OURS, method)]
+        last = [curve(data, base, name, one)[-1:] for one in (ours, method)]
         if KNOBS[name].of_the_run or not all(last) or last[0][0]["value"] != last[1][0]["value"]:
             continue
         here, there = (relight(rows[0]) for rows in last)
@@ -134,22 +134,31 @@ def ends(data: dict, base: str, method: str) -> dict[str, float]:
 
 
 def side_by_side(data: dict) -> str:
-    """Where our default is ahead of each other method at the hard ends, and where behind."""
+    """Where our default, and the mean of its draws, is ahead of each other method at the hard ends,
+    and where behind.
+    """
+    methods = methods_in(data)
     body = []
     for base in bases_in(data):
-        for method in methods_in(data):
-            ahead = ends(data, base, method) if method != OURS else {}
-            for word, chosen in (
-                ("ahead of", {name: gain for name, gain in ahead.items() if gain > 0}),
-                ("behind", {name: gain for name, gain in ahead.items() if gain <= 0}),
-            ):
-                if not ahead:
-                    continue
-                order = sorted(chosen, key=lambda name: -abs(chosen[name]))
-                parts = [f"{KNOBS[name].title} {abs(chosen[name]):.1f}" for name in order]
-                cells = [f"{word} `{method}`", f"{len(chosen)} of {len(ahead)}", "; ".join(parts)]
-                body.append(cells)
-    return pipe_table([f"`{OURS}` is", "hard ends", "by so many dB of relight PSNR"], body)
+        for ours in filter(is_ours, methods):
+            for method in (name for name in methods if not is_ours(name)):
+                ahead = ends(data, base, method, ours)
+                body += ahead_and_behind(f"`{ours}`", f"`{method}`", ahead) if ahead else []
+    return pipe_table(["what", "is", "hard ends", "by so many dB of relight PSNR"], body)
+
+
+def ahead_and_behind(ours: str, other: str, ahead: dict[str, float]) -> list[list[str]]:
+    """The cells of two rows, for leads in dB by knob."""
+    body = []
+    for word, chosen in (
+        ("ahead of", {name: gain for name, gain in ahead.items() if gain > 0}),
+        ("behind", {name: gain for name, gain in ahead.items() if gain <= 0}),
+    ):
+        order = sorted(chosen, key=lambda name: -abs(chosen[name]))
+        parts = [f"{KNOBS[name].title} {abs(chosen[name]):.1f}" for name in order]
+        count = f"{len(chosen)} of {len(ahead)}"
+        body.append([ours, f"{word} {other}", count, "; ".join(parts)])
+    return body
 
 
 def figures(data: dict) -> str:

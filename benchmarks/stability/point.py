@@ -21,7 +21,7 @@ from benchmarks.study.methods import METHODS, OURS, methods_named, scene_for
 from benchmarks.study.rows import measure
 from pipeline.base.config import merge, parse_scene
 from pipeline.base.errors import InputError, run_stage
-from pipeline.base.files import write_json
+from pipeline.base.files import read_json, write_json
 from pipeline.base.runtime import set_threads
 
 REFUSED = "refused.json"
@@ -49,12 +49,18 @@ def run(point: Point, methods: list[str], out: Path, most: int | None = None) ->
     for method in methods:
         if done(point, method, out, most):
             continue
+        of = out / "rows" / point.scene / str(METHODS[method].mean_of) / REFUSED
+        if of.exists():
+            write_json(out / "rows" / point.scene / method / REFUSED, read_json(of))
+            continue
         try:
             chain(scene, out / "work" / point.scene)
             seeds = seeds_of(point, method, most)
             rows = out / "rows"
             measure(method, folder, out / "work", seeds, rows, rows, keep=out / "draws")
         except InputError as refusal:
+            if METHODS[method].mean_of:  # not of the scene: draws are missing
+                raise
             reason = {"scene": point.scene, "method": method, "refused": refusal.what}
             write_json(out / "rows" / point.scene / method / REFUSED, reason)
 

@@ -35,6 +35,8 @@ ROOM = 2.6  # left of the first point, for its label, where points are few: a fa
 BESIDE = {  # dpi_paper itself, of 100 levels, has no free place beside it
     "preset_draft": "preset draft",
     "preset_standard": "preset standard",
+    "preset_draft_mean": "mean of 3, draft",
+    "preset_standard_mean": "mean of 3, standard",
     "split_gibbs_draft": "split_gibbs draft",
     "split_gibbs_standard": "standard",
     "split_gibbs_reference": "reference",
@@ -124,7 +126,9 @@ def chart(
         axes.set_ylim(bottom=0)
         axes.set_xlim(left=min(point.seconds for point in points) / ROOM)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.set_xlabel("seconds per sample on two cores, refinement included")
+    axes.set_xlabel(
+        "seconds on two cores, refinement included: of a sample, or of the three of a mean"
+    )
     axes.set_ylabel(label)
     axes.set_title(title, fontsize=9, loc="left")
 

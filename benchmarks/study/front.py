@@ -23,7 +23,7 @@ CORES = 2  # draws are made on one thread each, two at a time
 
 @dataclass
 class Point:
-    """A method in a chart: seconds of a draw on two cores, its value, half its interval's ends."""
+    """A method in a chart: seconds of a row on two cores, its value, half its interval's ends."""
 
     method: str
     seconds: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from benchmarks.suite.lights import LABELS
 from pipeline.base.config import PRESET_FOLDER, Scene, merge, parse_scene, read_yaml
@@ -11,6 +11,7 @@ from pipeline.posterior.samplers import SAMPLERS
 
 OURS = "split_gibbs_draft"  # what others are compared with
 TEXTURE = 256  # side of every method's refined maps
+MEANT = 3  # draws that a mean is made of
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,8 @@ class Method:
     """sampler: a key of SAMPLERS; preset: whose section `sample` it has; settings: on top of it;
     drawn: False for a method that finds one optimum and gets one row a scene: what its seeds differ
     by is noise of pixels and paths, no uncertainty; labelled: it is told whether the light is an
-    indoor one, as its authors do; shipped: all of it is the preset's, as users get it.
+    indoor one, as its authors do; shipped: all of it is the preset's, as users get it; mean_of: the
+    method whose first MEANT draws' mean it is, the same in all else (`mean`); it draws nothing.
     """
 
     sampler: str
@@ -27,12 +29,26 @@ class Method:
     drawn: bool = True
     labelled: bool = False
     shipped: bool = False
+    mean_of: str | None = None
+
+
+PRESETS = {
+    "preset_draft": Method("split_gibbs", "draft", shipped=True),
+    "preset_standard": Method("split_gibbs", "standard", shipped=True),
+}
+DRAFT = {OURS: Method("split_gibbs", "draft")}
+
+
+def means(methods: dict[str, Method]) -> dict[str, Method]:
+    """Of each method the mean of its draws, as an asset opens with it."""
+    return {f"{k}_mean": replace(m, mean_of=k, drawn=False) for k, m in methods.items()}
 
 
 METHODS = {
-    "preset_draft": Method("split_gibbs", "draft", shipped=True),
-    "preset_standard": Method("split_gibbs", "standard", shipped=True),
-    "split_gibbs_draft": Method("split_gibbs", "draft"),
+    **PRESETS,
+    **means(PRESETS),
+    **DRAFT,
+    **means(DRAFT),
     "split_gibbs_standard": Method("split_gibbs", "standard"),
     "split_gibbs_reference": Method("split_gibbs", "reference"),
     "gaussian": Method("gaussian"),
@@ -58,6 +74,7 @@ METHODS = {
 # a sampler's runs of growing length, whose quality a chart follows against their time
 LENGTHS = {
     "preset": ("preset_draft", "preset_standard"),
+    "preset_mean": ("preset_draft_mean", "preset_standard_mean"),
     "split_gibbs": tuple(f"split_gibbs_{preset}" for preset in ("draft", "standard", "reference")),
     "dpi_paper": ("dpi_paper_10", "dpi_paper_30", "dpi_paper", "dpi_paper_300", "dpi_paper_1000"),
     "dpi_code": ("dpi_code", "dpi_code_1000"),
@@ -70,6 +87,11 @@ assert {method.sampler for method in METHODS.values()} == set(SAMPLERS)
 def is_ours(name: str) -> bool:
     """Whether a row, a method's or a yardstick's, is of this project's own sampler."""
     return name in METHODS and METHODS[name].sampler == "split_gibbs"
+
+
+def keeps_draws(name: str) -> bool:
+    """Whether a mean is made of the method's draws."""
+    return any(method.mean_of == name for method in METHODS.values())
 
 
 def methods_named(names: list[str]) -> list[str]:

@@ -4,7 +4,8 @@ python -m benchmarks.study.rows --photos SCENE --method split_gibbs_draft --seed
     --rows FOLDER/rows --draws FOLDER/draws
 
 Writes FOLDER/rows/<scene>/<method>/<seed>.json, and below FOLDER/draws <seed>.npz with the pictures
-that figures of several draws together are made of. Seeds whose row is there are left alone. One
+that figures of several draws together are made of, and <seed>/ with the draw itself where a mean is
+made of it. Seeds whose row is there are left alone. One
 thread, so that processor seconds are what a draw takes on an idle machine, and peak memory is the
 method's own. benchmarks.study is the command that runs it.
 """
@@ -20,7 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.stability.chain import fitted
-from benchmarks.study.methods import METHODS, methods_named, scene_for
+from benchmarks.study.mean_of_draws import mean_of_draws
+from benchmarks.study.methods import METHODS, keeps_draws, methods_named, scene_for
 from benchmarks.study.store import made_here, row_file
 from pipeline.base.config import Scene
 from pipeline.base.errors import run_stage
@@ -63,7 +65,18 @@ def light_unknowns(light: np.ndarray) -> np.ndarray:
     return sh_coefficients(resample_area(light, SH_ROWS, 2 * SH_ROWS)).ravel()
 
 
-def draw(method: str, scene, folders: dict[str, Path], seed: int) -> tuple[Explanation, dict]:
+def drawn(
+    method: str, scene: Scene, folders: dict[str, Path], seed: int
+) -> tuple[Explanation, dict]:
+    """One refined draw, and what a row says it took: its `cost`, and this process's `peak_gib`."""
+    final, cost = draw(method, scene, folders, seed)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return final, {"cost": cost, "peak_gib": round(peak, 2)}
+
+
+def draw(
+    method: str, scene: Scene, folders: dict[str, Path], seed: int
+) -> tuple[Explanation, dict]:
     """One refined draw, and what it cost."""
     prior = load_prior(scene.sample.prior)
     load = lambda texture: load_problem(
@@ -127,13 +140,13 @@ def measure(
     """Write the rows that are not there, rows/<scene>/<method>/<seed>.json, and what figures of
     several draws need, draws/<scene>/<method>/<seed>.npz. about: what every row says of the run
     besides; keep: folder for the draws themselves, keep/<scene>/<method>/<seed>, where they are
-    wanted.
+    wanted; a mean's draws lie there.
     """
     name = photos.name
     folders = {s: work / name / s for s in ("observe", "poses", "atlas", "mesh", "fit")}
     scene = scene_for(method, str(photos))
     about = about or {}
-    if METHODS[method].shipped:
+    if METHODS[method].shipped and not METHODS[method].mean_of:
         folders["fit"] = draws / name / method / "fit"
         folders["fit"].mkdir(parents=True, exist_ok=True)
         scene, once = settled(scene, folders, folders["fit"])
@@ -146,10 +159,13 @@ def measure(
         file = row_file(rows, name, method, seed)
         if file.exists():
             continue
-        final, cost = draw(method, scene, folders, seed)
-        if keep is not None:
-            final.save(keep / name / method / str(seed))
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        if METHODS[method].mean_of:
+            assert keep is not None  # where the draws lie
+            final, spent = mean_of_draws(METHODS[method].mean_of, keep / name, rows / name)
+        else:
+            final, spent = drawn(method, scene, folders, seed)
+            if keep is not None:
+                final.save(keep / name / method / str(seed))
         scored = score_explanation(renderer, final, truth, SPP)
         keep_pictures(draws / name / method / f"{seed}.npz", scored, final)
         row = {
@@ -160,8 +176,7 @@ def measure(
             "scores": scored.values,
             "views": scored.views,
             "white": truth.white,
-            "cost": cost,
-            "peak_gib": round(peak, 2),
+            **spent,
         }
         write_json(file, about | row)
 
@@ -180,8 +195,16 @@ def main() -> None:
     args = parser.parse_args()
     methods_named([args.method])
     set_threads(1)
+    uses_draws = METHODS[args.method].mean_of or keeps_draws(args.method)
     measure(
-        args.method, args.photos, args.work, args.seeds, args.rows, args.draws, about=args.about
+        args.method,
+        args.photos,
+        args.work,
+        args.seeds,
+        args.rows,
+        args.draws,
+        about=args.about,
+        keep=args.draws if uses_draws else None,
     )
 
 

@@ -101,8 +101,8 @@ def timed(data: dict, method: str) -> list[dict]:
 
 
 def seconds(data: dict, method: str) -> float | None:
-    """Processor seconds of a draw with its refinement, mean over scenes and draws; None where there
-    is no time to compare.
+    """Processor seconds of a row, which is a draw with its refinement or all those of a mean; mean
+    over scenes and rows. None where there is no time to compare.
     """
     costs = [row["cost"] for row in timed(data, method)]
     spent = [cost["sample"]["cpu_seconds"] + cost["refine"]["cpu_seconds"] for cost in costs]
@@ -141,7 +141,7 @@ def scores(data: dict) -> str:
         cells = [f"`{method}`", number(seconds(data, method)), *means(data, method, SHOWN)]
         if any(cells[1:]):
             body.append(cells)
-    return pipe_table(["method", "core s a draw", *(heading(key) for key in SHOWN)], body)
+    return pipe_table(["method", "core s", *(heading(key) for key in SHOWN)], body)
 
 
 def means(data: dict, method: str, keys: tuple[str, ...]) -> list[str]:
@@ -247,7 +247,7 @@ def costs(data: dict) -> str:
         rays = mean_cost(rows, "sample", "rays") + mean_cost(rows, "refine", "rays")
         cells += [number(rays / 1e6, 2), number(max(row["peak_gib"] for row in rows), 2)]
         body.append([*cells, str(len(rows))])
-    head = ["method", "core s: sampling", "refinement", "s a draw on two cores, two at a time"]
+    head = ["method", "core s: sampling", "refinement", "s on two cores, two draws at a time"]
     return pipe_table([*head, "million rays", "peak GiB", "rows"], body)
 
 

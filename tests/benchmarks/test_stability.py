@@ -325,8 +325,12 @@ def test_methods_are_compared_at_the_hard_ends():
     rows = [row(0, 25), row(4, 20), row(0, 24, None, "map"), row(4, 21.5, None, "map")]
     rows += [row(0, 23, None, "dpi_paper"), row(1.5, 10, None, "dpi_paper")]
     text = side_by_side({"rows": rows})
-    assert "| behind `map` | 1 of 1 | defocus 1.5 |" in text
-    assert "| ahead of `map` | 0 of 1 |  |" in text and "`dpi_paper`" not in text
+    assert f"| `{OURS}` | behind `map` | 1 of 1 | defocus 1.5 |" in text
+    assert f"| `{OURS}` | ahead of `map` | 0 of 1 |  |" in text and "`dpi_paper`" not in text
+    rows += [row(0, 26, None, f"{OURS}_mean"), row(4, 22, None, f"{OURS}_mean")]
+    text = side_by_side({"rows": rows})
+    assert f"| `{OURS}_mean` | ahead of `map` | 1 of 1 | defocus 0.5 |" in text
+    assert f"of `{OURS}" not in text  # a mean is not compared with its own draws
 
 
 def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
@@ -395,13 +399,15 @@ def test_a_refusal_is_a_result(tmp_path, monkeypatch):
     monkeypatch.setattr(point_module, "chain", chain)
     point = Point("S", BASE, "turntable", 1)
     for _ in range(2):
-        point_module.run(point, [OURS, "map"], tmp_path)
-    assert tried == ["s_vase_turntable_1"] * 2  # once for each method
+        point_module.run(point, [OURS, f"{OURS}_mean", "map"], tmp_path)
+    assert tried == ["s_vase_turntable_1"] * 2  # once for each method that draws
     rows = gathered(tmp_path)["rows"]
     assert [(r["knob"], r["value"], r["refused"]) for r in rows] == [
         ("turntable", 1, "the light moves")
-    ] * 2
+    ] * 3
     assert not gathered_at(Point("S", BASE, "turntable", 0.2), tmp_path)
+    with pytest.raises(InputError, match="walk around it"):  # a mean by itself, without its draws
+        point_module.run(Point("S", BASE, "turntable", 0.2), [f"{OURS}_mean"], tmp_path)
 
     monkeypatch.setattr(point_module, "chain", lambda *a: 1 / 0)
     with pytest.raises(ZeroDivisionError):

@@ -1,16 +1,18 @@
 """A run of the study that was cut off goes on without making a row twice, on a tiny scene."""
 
+import numpy as np
 import pytest
 
 from benchmarks.make_scene import Options, make_scene
 from benchmarks.stability.chain import chain
 from benchmarks.study import methods, rows
-from benchmarks.study.methods import Method, scene_for
+from benchmarks.study.methods import MEANT, Method, scene_for
 from benchmarks.study.store import TOGETHER, row_file, seeds_in
 from benchmarks.study.together import join
 from benchmarks.suite.lights import make_light
 from benchmarks.suite.objects import write_object
 from pipeline.base.config import Fit
+from pipeline.base.errors import InputError
 from pipeline.base.files import read_json, write_json
 from pipeline.base.images import write_exr
 from pipeline.posterior.choose.chosen import chosen_scene
@@ -102,3 +104,31 @@ def test_a_shipped_preset_is_measured_as_users_get_it(photos, tmp_path, monkeypa
     assert len(Explanation.load(fit).base_color) == chosen.fit.texture
     row = read_json(row_file(tmp_path / "rows", photos.name, "preset_draft", 0))
     assert row["cost"].keys() == {"sample", "refine"} and row["once"].keys() == {"choose", "fit"}
+
+
+def test_a_mean_is_made_of_the_draws_that_are_kept(photos, tmp_path, monkeypatch):
+    """It takes what they take together, and draws nothing; without them it says what is missing."""
+    monkeypatch.setitem(methods.METHODS, "map", Method("map"))
+    mean = Method("map", mean_of="map", drawn=False)
+    monkeypatch.setitem(methods.METHODS, "map_mean", mean)
+    kept, made = tmp_path / "kept", tmp_path / "rows"
+    measure = lambda method, seeds: rows.measure(
+        method, photos, tmp_path / "work", seeds, made, tmp_path / "draws", keep=kept
+    )
+    measure("map", [0, 1])
+    with pytest.raises(InputError, match=r"map/2: a draw that the mean is made of is missing"):
+        measure("map_mean", [0])
+
+    measure("map", [2])
+    monkeypatch.setattr(rows, "draw", None)
+    measure("map_mean", [0])
+    of_draws = [
+        read_json(row_file(made, photos.name, "map", seed))["cost"]["refine"]["rays"]
+        for seed in range(MEANT)
+    ]
+    row = read_json(row_file(made, photos.name, "map_mean", 0))
+    assert row["cost"]["refine"]["rays"] == sum(of_draws) > 0
+    draws = [Explanation.load(kept / photos.name / "map" / str(seed)) for seed in range(MEANT)]
+    picture = np.load(tmp_path / "draws" / photos.name / "map_mean" / "0.npz")["sh"]
+    expected = np.mean([rows.light_unknowns(x.light) for x in draws], 0)
+    np.testing.assert_allclose(picture, expected, rtol=1e-4, atol=1e-5)
