@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
-from pipeline.base.images import linear_to_srgb
+from pipeline.base.images import linear_to_srgb, luminance
 from pipeline.render.draw_metrics import COMMON_ERROR, half_width
 from pipeline.render.renderer import Explanation
 
@@ -20,7 +21,9 @@ MEAN = "mean"  # what the samples' mean is called among an asset's variants
 FEWEST = 2  # samples that say anything of spread
 LEVEL = 0.8  # share of the true values that an interval is meant to hold
 HARD = 0.9  # quantile of the texels that is said beside the median
-DARKEST = 1e-4  # radiance below which all is black: a log has to end somewhere
+DARKEST = 1e-4  # radiance, or luminance of base colours, below which all is black
+
+Parts = tuple[np.ndarray, ...]
 
 
 class Samples(Sequence):
@@ -71,19 +74,27 @@ class Spread:
 
 
 def mean_of(samples: Sequence[Explanation]) -> Explanation | None:
-    """The posterior mean, as far as the samples tell: means of radiance, linear base colour,
-    roughness and metallic. None for a single sample.
+    """The posterior mean, as far as the samples tell: means of radiance, linear base colour and
+    roughness, and of metallic weighted by base colour. None for a single sample.
 
     Of all light and maps it has the least expected squared error. It explains no photo by itself,
     as every sample does, but where samples differ its errors are the smaller ones (docs/method.md).
+    A surface of base colour a and metallic m reflects (1 - m) a diffusely and about m a in its
+    highlights: with metallic sum(m a) / sum(a) both are the samples' means. The plain mean of m
+    is too diffuse, for what is taken for a metal is taken for the brighter in base colour.
     """
     if len(samples) < FEWEST:
         return None
-    total = _sum((x.light, x.base_color, x.roughness, x.metallic) for x in samples)
-    return Explanation(*(part / np.float32(len(samples)) for part in total))
+    light, color, roughness, weight, metal = _sum(map(_averaged, samples))
+    count = np.float32(len(samples))
+    return Explanation(light / count, color / count, roughness / count, metal / weight)
 
 
-Parts = tuple[np.ndarray, ...]
+def _averaged(x: Explanation) -> Parts:
+    """What `mean_of` sums: light, base colour, roughness, metallic's weight and that times it."""
+    bright = luminance(x.base_color).astype(np.float32)
+    weight = cv2.resize(bright, x.metallic.shape[::-1], interpolation=cv2.INTER_AREA) + DARKEST
+    return x.light, x.base_color, x.roughness, weight, weight * x.metallic
 
 
 def _compared(x: Explanation) -> Parts:

@@ -1,0 +1,58 @@
+"""The mean of samples, as an asset opens with it."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.render.samples import mean_of
+from tests.render.test_renderer import explanation
+
+SHARE = st.floats(0, 1, width=32)
+COLOR = st.floats(0.015625, 0.96875, width=32)
+
+
+def sample(color, metallic, roughness=0.5, side=8, gloss_side=4):
+    """Of one colour and metallic all over, with maps of gloss and metal of their own size."""
+    x = explanation(side, roughness=roughness)
+    small = np.full((gloss_side, gloss_side), 1, np.float32)
+    color = np.full_like(x.base_color, color)
+    return replace(x, base_color=color, metallic=metallic * small, roughness=roughness * small)
+
+
+def test_one_sample_has_no_mean():
+    assert mean_of([explanation()]) is None
+
+
+@given(st.lists(st.tuples(COLOR, SHARE), min_size=2, max_size=4))
+def test_it_is_as_diffuse_as_the_samples_in_the_mean(parts):
+    """(1 - metallic) base colour, and metallic times base colour, are their means; so are all
+    other parts.
+    """
+    mean = mean_of([sample(color, metallic) for color, metallic in parts])
+    color, metallic = np.array(parts).T
+    close = {"rtol": 1e-3, "atol": 1e-4}
+    np.testing.assert_allclose(mean.base_color, color.mean(), **close)
+    a, m = mean.base_color[0, 0, 0], mean.metallic[0, 0]
+    np.testing.assert_allclose((1 - m) * a, ((1 - metallic) * color).mean(), **close)
+    np.testing.assert_allclose(m * a, (metallic * color).mean(), **close)
+
+
+@given(SHARE, COLOR, COLOR)
+def test_samples_of_one_metallic_have_a_mean_of_it(metallic, one, other):
+    mean = mean_of([sample(one, metallic), sample(other, metallic)])
+    np.testing.assert_allclose(mean.metallic, metallic, atol=1e-6)
+    assert mean.metallic.dtype == mean.base_color.dtype == np.float32
+
+
+def test_black_samples_have_a_mean_too():
+    mean = mean_of([sample(0.0, 0.0), sample(0.0, 1.0)])
+    np.testing.assert_allclose(mean.metallic, 0.5, atol=1e-6)
+
+
+def test_light_and_roughness_are_plain_means():
+    samples = [explanation(seed=k, roughness=0.2 + 0.3 * k) for k in range(3)]
+    mean = mean_of(samples)
+    np.testing.assert_allclose(mean.light, np.mean([x.light for x in samples], 0), rtol=1e-5)
+    np.testing.assert_allclose(mean.roughness, 0.5, rtol=1e-5)
