@@ -1,4 +1,4 @@
-"""Step 6 of split_gibbs: a state as an explanation, a light and texture maps."""
+"""Step 7 of split_gibbs: a state as an explanation, a light and texture maps."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def facts(model: Model, state: State) -> dict:
 def explanation(
     rng: Randomness, model: Model, state: State, fit: Explanation
 ) -> tuple[Explanation, dict]:
-    """Step 6: the draw as an explanation, and its facts; `state.code` is a code of the diffusion
+    """Step 7: the draw as an explanation, and its facts; `state.code` is a code of the diffusion
     prior.
     """
     decoder = model.decoder(model.prior)

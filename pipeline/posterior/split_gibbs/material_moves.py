@@ -17,7 +17,7 @@ import torch
 from pipeline.posterior.split_gibbs.coherence import FAVOUR, OFFSETS, draw_labels
 from pipeline.posterior.split_gibbs.kind_moves import jump_kinds, label_odds
 from pipeline.posterior.split_gibbs.light_codes import Decoder
-from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, seen_by
+from pipeline.posterior.split_gibbs.likelihood import LitRows, Mixer, RowLikelihood, seen_by
 from pipeline.posterior.split_gibbs.lobes import BETWEEN, METALLIC, metallic_step
 from pipeline.posterior.split_gibbs.material_prior import log_alone, log_prior
 from pipeline.posterior.split_gibbs.metropolis import accepted
@@ -179,28 +179,49 @@ def draw_gauge(
     per channel; `centre`: mean of the log scale's prior. Returns materials, log scale, and the
     shift with the count of accepted moves.
     """
-    model, data, lit = rows.model, rows.data, rows.lit(light)
+    lit, roughness = rows.lit(light), rows.data.lobes.roughness
 
-    def of_photos(m: RegionMaterials, s: float, d: np.ndarray) -> float:
-        gain = np.exp(s - log_scale + d)
-        points = model.point_values(*lit.seen(m.color, gain), m)
-        return float(points.sum()) + data.seen_light.value(light * gain)
+    def photos_of(m: RegionMaterials, s: float, d: np.ndarray) -> float:
+        return of_photos(rows, lit, light, m, np.exp(s - log_scale + d))
 
     def beside(m: RegionMaterials, s: float, d: np.ndarray) -> float:
-        scale = 0.5 * ((s - centre) / SCALE_PRIOR) ** 2
-        return log_prior(m, data.lobes.roughness) + pull(d) - scale
+        return beside_photos(m, s, centre, roughness) + pull(d)
 
     materials, shift, scale, taken = rows.materials, np.zeros(3), log_scale, 0
-    photos, now = of_photos(materials, scale, shift), beside(materials, scale, shift)
+    photos, now = photos_of(materials, scale, shift), beside(materials, scale, shift)
     for k in range(steps):
         new = propose_gauge(materials, scale, shift, k, rng)
         # with colours as they are the light's brightness is too
-        there = photos if new[0] is materials else of_photos(*new)
+        there = photos if new[0] is materials else photos_of(*new)
         then = beside(*new)
         if np.log(rng.random()) < there + then - photos - now:
             (materials, scale, shift), photos, now = new, there, then
             taken += 1
     return materials, scale, GaugeInfo(taken, shift)
+
+
+def of_photos(
+    rows: RowLikelihood,
+    lit: LitRows,
+    light: np.ndarray,
+    materials: RegionMaterials,
+    gain: np.ndarray,
+) -> float:
+    """Log-likelihood of the light (M, 3), under which the rows are `lit`, times `gain` (3,), at
+    these materials, of which the colours alone may differ from the rows' own.
+    """
+    points = rows.model.point_values(*lit.seen(materials.color, gain), materials)
+    return float(points.sum()) + rows.data.seen_light.value(light * gain)
+
+
+def beside_photos(
+    materials: RegionMaterials, log_scale: float, centre: float, roughness: tuple[float, ...]
+) -> float:
+    """Log prior of the materials and of the log light scale about `centre`; roughness: value of
+    every step.
+    """
+    scale = 0.5 * ((log_scale - centre) / SCALE_PRIOR) ** 2
+    return log_prior(materials, roughness) - scale
 
 
 def propose_gauge(

@@ -15,6 +15,7 @@ from pipeline.base.config import Sample
 from pipeline.base.progress import Bar
 from pipeline.posterior.problem import Problem
 from pipeline.posterior.split_gibbs.draw_maps import explanation
+from pipeline.posterior.split_gibbs.free_level import free_level
 from pipeline.posterior.split_gibbs.light_draw import draw_light, likeliest_light
 from pipeline.posterior.split_gibbs.light_moves import (
     PlaceLight,
@@ -212,6 +213,12 @@ def gaussian_sweeps(
     return run(rng, state, *(kernels * count))
 
 
+def with_level(rng: Randomness, model: Model, state: State) -> State:
+    """Step 6: the level as free as the photos are badly explained."""
+    decoder = model.decoder(model.prior)
+    return run(rng, state, free_level(model.mixer, decoder, model.log_scale_centre))
+
+
 def split_gibbs(
     problem: Problem, prior: Prior, fit: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
@@ -222,16 +229,17 @@ def split_gibbs(
     rng, model, state = set_up(problem, prior, fit, settings, seed)  # 1  set-up
     with torch.no_grad():
         state = draw(rng, model, state, f"sample {seed}")  # 2 to 5
-        return explanation(rng, model, state, fit)  # 6  maps
+        state = with_level(rng, model, state)  # 6  level
+        return explanation(rng, model, state, fit)  # 7  maps
 
 
 def gaussian(
     problem: Problem, prior: Prior, fit: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
-    """One posterior sample under the Gaussian prior `settings.start_prior`: steps 1 to 3 and 6;
+    """One posterior sample under the Gaussian prior `settings.start_prior`: steps 1 to 3, 6 and 7;
     `prior` gives the size of the light only.
     """
     rng, model, state = set_up(problem, prior, fit, settings, seed)
     with torch.no_grad():
-        state = start(rng, model, state)
+        state = with_level(rng, model, start(rng, model, state))
         return explanation(rng, model, state, fit)
