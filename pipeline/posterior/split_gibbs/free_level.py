@@ -8,7 +8,8 @@ rows make a wrong level no less sure. So the level is drawn once more, all else 
     prior x likelihood^w,    w = min(1, (ERROR / eta)^POWER)
 
 with eta the rows' relative error: a coarsened posterior (Miller and Dunson 2019), of the level
-alone. With the whole likelihood so flattened, light and colours fit too loosely (docs/experiments.md).
+alone. With the whole likelihood so flattened light and colours fit too loosely
+(docs/experiments.md).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from pipeline.posterior.split_gibbs.state import Kernel, Randomness, State
 
 # relative error up to which the photos' word on the level is taken in full: scenes whose cameras
 # and surface are right are explained to .05 or better; and how fast it counts less beyond
-ERROR, POWER = 0.05, 4
+ERROR, POWER = 0.06, 5
 # shifts of log radiance that are looked at: up to so far either way, and how many
 REACH, SHIFTS = 2.0, 161
 

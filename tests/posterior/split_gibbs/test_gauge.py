@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.posterior.split_gibbs import free_level
 from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
 from pipeline.posterior.split_gibbs.lobes import LobeTable
 from pipeline.posterior.split_gibbs.material_moves import SCALE_PRIOR, draw_gauge
 from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.row_model import RowData
-from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
+from pipeline.posterior.split_gibbs.state import Noise, Randomness, RegionMaterials, State
 from pipeline.render.rows import choose_rows
 from pipeline.render.transport import Transport
 from tests.render.test_transport import bowl  # noqa: F401  (fixture)
@@ -86,25 +87,32 @@ def test_light_off_metal_stays_as_it_is(in_bowl):
         np.testing.assert_array_equal(seen, before)
 
 
-def test_level_is_drawn_from_its_posterior(in_bowl):
-    """Where channels do not shift, all colours go with the scale: mean and deviation against sums
-    over a grid, whose likelihood is made anew for every light. Without the light between parts the
-    photos of so matt a thing would hardly tell of its level.
+def over_a_grid(rows: RowLikelihood, centre: float, weight: float = 1.0) -> tuple[float, float]:
+    """Mean and deviation of a shift of the light's log scale against all colours, by sums over a
+    grid whose likelihood, to the power of `weight`, is made anew for every light.
     """
-    color, centre = in_bowl.materials.color, 0.5
-    stay = lambda shift: 0.0 if not shift.any() else -np.inf
 
     def log_density(s: float) -> float:
-        rows = in_bowl.recolored(color * np.exp(-s))
-        prior = log_prior(rows.materials, in_bowl.data.lobes.roughness)
-        return rows.value(even() * np.exp(s)) + prior - 0.5 * ((s - centre) / SCALE_PRIOR) ** 2
+        moved = rows.recolored(rows.materials.color * np.exp(-s))
+        prior = log_prior(moved.materials, rows.data.lobes.roughness)
+        scale = 0.5 * ((s - centre) / SCALE_PRIOR) ** 2
+        return weight * moved.value(even() * np.exp(s)) + prior - scale
 
-    grid = np.linspace(-0.25, 1.0, 251)
+    grid = np.linspace(-0.25, 2.0, 451)
     density = np.array([log_density(s) for s in grid])
-    weight = np.exp(density - density.max())
-    weight /= weight.sum()
-    mean = weight @ grid
-    deviation = np.sqrt(weight @ (grid - mean) ** 2)
+    share = np.exp(density - density.max())
+    share /= share.sum()
+    mean = share @ grid
+    return float(mean), float(np.sqrt(share @ (grid - mean) ** 2))
+
+
+def test_level_is_drawn_from_its_posterior(in_bowl):
+    """Where channels do not shift, all colours go with the scale. Without the light between parts
+    the photos of so matt a thing would hardly tell of its level.
+    """
+    centre = 0.5
+    stay = lambda shift: 0.0 if not shift.any() else -np.inf
+    mean, deviation = over_a_grid(in_bowl, centre)
 
     def moved(rows: RowLikelihood, scale: float, steps: int, rng) -> tuple[RowLikelihood, float]:
         light = even() * np.exp(scale)
@@ -117,3 +125,49 @@ def test_level_is_drawn_from_its_posterior(in_bowl):
         drawn.append(scale)
     assert abs(np.mean(drawn[20:]) - mean) < 0.5 * deviation, (np.mean(drawn[20:]), mean, deviation)
     assert 0.6 < np.std(drawn[20:]) / deviation < 1.6
+
+
+class EvenLight:
+    """A decoder whose light is the same all round whatever the code."""
+
+    def light(self, code: None, log_scale: float) -> np.ndarray:
+        return even() * np.exp(log_scale)
+
+
+def state_of(rows: RowLikelihood, error: float) -> State:
+    """Under `even`, with rows of this relative error."""
+    steps = np.full(len(rows.materials), 0.05)
+    noise = replace(rows.noise, scale=error)
+    return State(None, 0.0, rows.materials, rows.offsets, noise, steps, steps)
+
+
+def test_level_is_freer_where_photos_are_explained_badly(in_bowl, monkeypatch):
+    """Twice the error up to which photos count in full: w is 1 / 32. Draws are independent, so that
+    the mean of 80 is within .11 deviations, and held here to four times that."""
+    monkeypatch.setattr(free_level, "SHIFTS", 81)
+    centre, error = 0.5, 2 * free_level.ERROR
+    state = state_of(in_bowl, error)
+    weight = free_level.weight_of_photos(error)
+    assert weight == pytest.approx(1 / 32)
+    rows = replace(in_bowl, noise=state.noise)
+    mean, deviation = over_a_grid(rows, centre, weight)
+    assert deviation > 1.5 * over_a_grid(rows, centre)[1]
+
+    kernel = free_level.free_level(Mixer(in_bowl.data), EvenLight(), centre)
+    rng, drawn = Randomness(numpy_rng(7), None), []
+    for _ in range(80):
+        moved, shift = kernel(rng, state)
+        assert moved.log_scale == shift
+        np.testing.assert_allclose(moved.materials.color * np.exp(shift), state.materials.color)
+        drawn.append(shift)
+    assert abs(np.mean(drawn) - mean) < 0.45 * deviation, (np.mean(drawn), mean, deviation)
+    assert 0.65 < np.std(drawn) / deviation < 1.45
+
+
+@pytest.mark.parametrize("share", [0.2, 1.0])
+def test_nothing_is_drawn_where_photos_are_explained_well(in_bowl, share):
+    state = state_of(in_bowl, share * free_level.ERROR)
+    kernel = free_level.free_level(Mixer(in_bowl.data), EvenLight(), 0.5)
+    rng = Randomness(numpy_rng(8), None)
+    assert kernel(rng, state) == (state, 0.0)
+    assert rng.numpy.random() == numpy_rng(8).random()
