@@ -33,10 +33,10 @@ from pipeline.base.errors import InputError, nearest
 BETWEEN_MARKS = re.compile(r"(<!-- table: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
-def stability_cures() -> str:
-    """Points of the suite before and after what was cured."""
-    found = [results(name)["data"] for name in ("stability_before", "stability_after")]
-    return stability.cures(*found) + source("stability_before") + source("stability_after")
+def stability_cures(before: str, after: str) -> Callable[[], str]:
+    """Points of the suite before and after what was cured, from two files of rows."""
+    make = lambda: stability.cures(*(results(name)["data"] for name in (before, after)))
+    return lambda: make() + source(before) + source(after)
 
 
 def stability_table(make: Callable[[dict], str], file: str) -> Callable[[], str]:
@@ -96,7 +96,8 @@ TABLES: dict[str, Callable[[], str]] = {
     **{name: stability_table(make, "stability") for name, make in stability.TABLES.items()},
     "stability_s_limits": stability_table(stability.breaking_points, "stability_s"),
     "stability_s_ends": stability_table(stability.side_by_side, "stability_s"),
-    "stability_cures": stability_cures,
+    "stability_cures": stability_cures("stability_before", "stability_after"),
+    "stability_level": stability_cures("stability_level_before", "stability_level"),
     **of_surfaces(),
     **of_assets(),
 }
