@@ -16,6 +16,7 @@ import argparse
 import json
 import resource
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -32,9 +33,11 @@ from pipeline.base.runtime import rays_made, set_threads
 from pipeline.posterior.choose.chosen import Chosen, chosen_scene
 from pipeline.posterior.choose.decide import Evidence, choose
 from pipeline.posterior.load import load_problem
+from pipeline.posterior.problem import Problem
 from pipeline.posterior.refine import refine, units
 from pipeline.posterior.samplers import SAMPLERS
 from pipeline.prior.load import load_prior
+from pipeline.prior.protocol import Prior
 from pipeline.render.envmap import resample_area, sh_coefficients
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.report.score import MAX_DEPTH, Scored, score_explanation
@@ -74,20 +77,18 @@ def drawn(
     return final, {"cost": cost, "peak_gib": round(peak, 2)}
 
 
+def loader(scene: Scene, folders: dict[str, Path], prior: Prior) -> Callable[[int], Problem]:
+    """The scene's problem, for maps of so many texels a side and the prior's light."""
+    stages = [folders[name] for name in ("observe", "poses", "atlas", "mesh")]
+    return lambda texture: load_problem(*stages, scene, texture, prior.height)
+
+
 def draw(
     method: str, scene: Scene, folders: dict[str, Path], seed: int
 ) -> tuple[Explanation, dict]:
     """One refined draw, and what it cost."""
     prior = load_prior(scene.sample.prior)
-    load = lambda texture: load_problem(
-        folders["observe"],
-        folders["poses"],
-        folders["atlas"],
-        folders["mesh"],
-        scene,
-        texture,
-        prior.height,
-    )
+    load = loader(scene, folders, prior)
     start = Explanation.load(folders["fit"])
     problem = load(scene.sample.texture)
     sampler = SAMPLERS[METHODS[method].sampler]

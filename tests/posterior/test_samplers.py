@@ -134,7 +134,8 @@ def test_metal_or_not_is_settled_before_the_rest(raced):
         (-20.0, "soon", False, 100.0),
         (-90.0, "late", False, 150.0),
     ]
-    stay = sampler.of_better_kind(rng, None, states)
+    stay, best = sampler.of_better_kind(rng, None, states)
+    assert best[1] == "soon"
     assert [name for _, name, _, _ in stay] == ["soon", "late"]
     raced.clear()
     assert sampler.best_after_sweeps(rng, None, stay)[1] == "late"

@@ -17,7 +17,8 @@ One turn of the loop, from level t to s, has five steps:
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -136,44 +137,71 @@ def material_step(materials: MaterialOptimizer, gradient: Gradient) -> None:
     materials.step(gradient)
 
 
+@dataclass(frozen=True)
+class Turn:
+    """What a turn leaves: clean, x_0 (1, 3, h, w), what the light is taken for at its level; code,
+    x_s (1, 3, h, w); and the loss under x_0.
+    """
+
+    clean: torch.Tensor
+    code: torch.Tensor
+    loss: float
+
+
+def begun(problem: Problem, fit: Explanation, settings: Sample) -> tuple[float, MaterialOptimizer]:
+    """The light's scale, and materials that begin at the fit's roughness and metallic, at a base
+    colour of 0.
+    """
+    first = resize_explanation(fit, settings.texture)
+    first = replace(first, base_color=np.zeros_like(first.base_color))
+    materials = MaterialOptimizer(first, settings.learning_rate, problem.roughness_min)
+    return scale_of(fit.light), materials
+
+
+def turns(
+    problem: Problem,
+    prior: Prior,
+    light_scale: float,
+    materials: MaterialOptimizer,
+    settings: Sample,
+    seed: int,
+) -> Iterator[Turn]:
+    """The loop, from noise to the light of one sample; moves `materials` in place."""
+    rng, noise = generators(seed)
+    code = torch.randn((1, 3, prior.height, prior.width), generator=noise)
+    for t, s in level_pairs(settings.steps):
+        columns = int(rng.integers(prior.width))
+        noisy = roll(code, columns).requires_grad_(True)  # Eq. 19
+        clean = denoised(prior, noisy, t, settings.label)  # Eq. 7
+        radiance = decoded(prior, clean, light_scale)
+
+        explanation = materials.explanation(as_light(radiance, columns))
+        batch = problem.batch(settings.pixels, settings.spp, rng)
+        gradient = problem.gradient(explanation, batch, renderer_seed(rng))
+
+        slope = slope_in_code(radiance, gradient.light, noisy, columns)
+        move = guidance(slope, gradient.loss, guidance_weight(t, prior, settings))  # Eq. 13
+        with torch.no_grad():
+            code = roll(reverse_step(clean, noisy, t, s, noise) - move, -columns)
+        material_step(materials, gradient)  # Eq. 16
+        yield Turn(roll(clean.detach(), -columns), code, gradient.loss)
+
+
 def dpi_paper(
     problem: Problem, prior: Prior, start: Explanation, settings: Sample, seed: int
 ) -> tuple[Explanation, dict]:
     """One posterior sample at `settings.texture`, and facts. `start`: the fit.
 
-    Roughness and metallic begin at the fit's values, the base colour at 0. Deterministic in `seed`:
-    independent of other samples and of what ran before in the process.
+    Deterministic in `seed`: independent of other samples and of what ran before in the process.
     """
-    rng, noise = generators(seed)
-    light_scale = scale_of(start.light)
-    first = resize_explanation(start, settings.texture)
-    first = replace(first, base_color=np.zeros_like(first.base_color))
-    materials = MaterialOptimizer(first, settings.learning_rate, problem.roughness_min)
-    code = torch.randn((1, 3, prior.height, prior.width), generator=noise)
+    light_scale, materials = begun(problem, start, settings)
     losses = []
+    with Bar(f"sample {seed}", settings.steps) as bar:
+        for turn in turns(problem, prior, light_scale, materials, settings, seed):
+            losses.append(turn.loss)
+            bar.step(f"loss {turn.loss:.4f}")
 
-    pairs = level_pairs(settings.steps)
-    with Bar(f"sample {seed}", len(pairs)) as bar:
-        for t, s in pairs:
-            columns = int(rng.integers(prior.width))
-            noisy = roll(code, columns).requires_grad_(True)  # Eq. 19
-            clean = denoised(prior, noisy, t, settings.label)  # Eq. 7
-            radiance = decoded(prior, clean, light_scale)
-
-            explanation = materials.explanation(as_light(radiance, columns))
-            batch = problem.batch(settings.pixels, settings.spp, rng)
-            gradient = problem.gradient(explanation, batch, renderer_seed(rng))
-
-            slope = slope_in_code(radiance, gradient.light, noisy, columns)
-            move = guidance(slope, gradient.loss, guidance_weight(t, prior, settings))  # Eq. 13
-            with torch.no_grad():
-                code = roll(reverse_step(clean, noisy, t, s, noise) - move, -columns)
-            material_step(materials, gradient)  # Eq. 16
-
-            losses.append(gradient.loss)
-            bar.step(f"loss {gradient.loss:.4f}")
-
-    sample = finished_sample(prior, code, light_scale, materials)
+    sample = finished_sample(prior, turn.code, light_scale, materials)
     return sample, {"scale": light_scale, "loss_first": losses[0], "loss_last": end_of(losses)}
 
 

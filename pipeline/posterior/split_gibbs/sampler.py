@@ -1,11 +1,12 @@
 """`split_gibbs`, the default sampler: one posterior draw of light and materials.
 
-`draw` shows the whole loop. Its steps have the numbers of docs/method.md, section 5; every kernel
+`chain` shows the whole loop. Its steps have the numbers of docs/method.md, section 5; every kernel
 is a function `kernel(rng, state) -> state, info` over a frozen state (state.py).
 """
 
 from __future__ import annotations
 
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -61,16 +62,18 @@ MOST, BEHIND = 4, 150.0
 WARM_UP_STEPS = 50
 
 
-def draw(rng: Randomness, model: Model, state: State, title: str) -> State:
-    """One draw from p(light, materials, noise | photos): steps 2 to 5, in order.
+def chain(rng: Randomness, model: Model, state: State, title: str) -> Iterator[State]:
+    """On the way to one draw from p(light, materials, noise | photos), steps 2 to 5 in order: what
+    the chain would end as if it stopped there, after every part of the start and every sweep. The
+    last one is the draw.
 
-    model, state: of step 1 (setup.py). The state's code ends as one of the diffusion prior.
+    model, state: of step 1 (setup.py). The codes of what is given are ones of the diffusion prior.
     """
     mixer, prior, settings = model.mixer, model.prior, model.settings
     centre, label, steps = model.log_scale_centre, settings.label, settings.region_steps
 
     # 2  Start: materials by their evidence, then sweeps under the Gaussian prior; 3  thinning
-    state = start(rng, model, state)
+    state = yield from start(rng, model, state)
 
     noise_levels = np.geomspace(SMOOTH, FIRST, settings.smooth)
     rhos = widths(settings.levels, FIRST, LAST, settings.stay)
@@ -86,6 +89,7 @@ def draw(rng: Randomness, model: Model, state: State, title: str) -> State:
             ):
                 state, _ = kernel(rng, state)
             bar.step(f"error {100 * state.noise.scale:.1f} %")
+            yield state
 
         # 5  Split sweeps: split Gibbs, the two codes nearer and nearer to each other
         state, _ = split(float(rhos[0]))(rng, state)
@@ -100,29 +104,45 @@ def draw(rng: Randomness, model: Model, state: State, title: str) -> State:
             ):
                 state, _ = kernel(rng, state)
             bar.step(f"error {100 * state.noise.scale:.1f} %")
-    return replace(state, code=state.twin, prior_code=None)
+            yield replace(state, code=state.twin, prior_code=None)
 
 
-def start(rng: Randomness, model: Model, state: State) -> State:
-    """Steps 2 and 3: a draw under the Gaussian prior, its code as one of the diffusion prior."""
+def last_of(states: Iterator[State]) -> State:
+    """Where a chain ends."""
+    *_, last = states
+    return last
+
+
+def start(rng: Randomness, model: Model, state: State) -> Generator[State, None, State]:
+    """Steps 2 and 3: the best start after 2b, the one taken after 2c, and a draw under the Gaussian
+    prior, which is returned too. Their codes are ones of the diffusion prior.
+    """
     settings = model.settings
-    gaussian = model.gaussian
 
     # 2a  whole objects of one gloss, each with a light of its own
     some = model.without_some_photos(rng.numpy)
-    few = FewRows.over(some.data, gaussian, state.log_scale, settings.start_points, rng.numpy)
+    few = FewRows.over(some.data, model.gaussian, state.log_scale, settings.start_points, rng.numpy)
     found = few.starts(state.materials, rng.numpy)
 
     # 2b  metal or not, by how well the other photos are explained
     states = [begun(rng, some, state, *materials_and_code) for materials_and_code in found]
-    states = of_better_kind(rng, some, states)
+    states, best = of_better_kind(rng, some, states)
+    yield as_diffusion(model, best)
 
     # 2c  which of these, by how well all photos are
     state = best_after_sweeps(rng, model, states)
+    yield as_diffusion(model, state)
 
     # 3  rows that err together count less
     state, _ = thinning(model)(rng, state)
-    state = gaussian_sweeps(rng, model, state, THINNED_SWEEPS)
+    state = as_diffusion(model, gaussian_sweeps(rng, model, state, THINNED_SWEEPS))
+    yield state
+    return state
+
+
+def as_diffusion(model: Model, state: State) -> State:
+    """A state of the Gaussian prior with its code as one of the diffusion prior."""
+    gaussian = model.gaussian
     code = state.code.reshape(1, 3, gaussian.height, gaussian.width)
     return replace(
         state, code=translated(code, gaussian, model.prior).reshape(3, -1), coefficients=None
@@ -142,16 +162,16 @@ def begun(
     return state
 
 
-def of_better_kind(rng: Randomness, model: Model, states: list[State]) -> list[State]:
+def of_better_kind(rng: Randomness, model: Model, states: list[State]) -> tuple[list[State], State]:
     """Step 2b: of the best few states, after a sweep, those that are metal if the best one is, or
-    not if it is not.
+    not if it is not; and the best one.
     """
     odds = odds_of(rng, model, states)
     near = int((odds > odds.max() - BEHIND).sum())
     states = swept(rng, model, best_of(states, odds, min(MOST, near)), KIND_SWEEPS)
     best = states[odds_of(rng, model, states).argmax()]
     metal = mostly_metal(model, best)
-    return [state for state in states if mostly_metal(model, state) == metal]
+    return [state for state in states if mostly_metal(model, state) == metal], best
 
 
 def best_after_sweeps(rng: Randomness, model: Model, states: list[State]) -> State:
@@ -228,7 +248,7 @@ def split_gibbs(
     """
     rng, model, state = set_up(problem, prior, fit, settings, seed)  # 1  set-up
     with torch.no_grad():
-        state = draw(rng, model, state, f"sample {seed}")  # 2 to 5
+        state = last_of(chain(rng, model, state, f"sample {seed}"))  # 2 to 5
         state = with_level(rng, model, state)  # 6  level
         return explanation(rng, model, state, fit)  # 7  maps
 
@@ -241,5 +261,5 @@ def gaussian(
     """
     rng, model, state = set_up(problem, prior, fit, settings, seed)
     with torch.no_grad():
-        state = with_level(rng, model, start(rng, model, state))
+        state = with_level(rng, model, last_of(start(rng, model, state)))
         return explanation(rng, model, state, fit)
