@@ -39,8 +39,6 @@ from pipeline.report.truth import Truth, truth_of_work
 SHARES = (1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 3 / 4, 1)  # of a run's stops, at which it is scored
 KEPT = ("relight_psnr", "novel_view_psnr", "light_psnr_log", "albedo_mse")
 SEED = 0
-# what has stops, and is worth looking at: runs of one length hold those of shorter ones only where
-# noise levels do not depend on the length
 DEFAULT = ("split_gibbs_draft", "split_gibbs_standard", "dpi_paper", "dpi_paper_1000")
 
 
