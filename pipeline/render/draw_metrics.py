@@ -28,9 +28,13 @@ def half_width(deviation: np.ndarray, count: int, nominal: float, common: float)
     return np.hypot(apart, ndtri(0.5 + 0.5 * nominal) * common)
 
 
-def held_within(draws: np.ndarray, truth: np.ndarray, common: float) -> dict[str, float]:
-    """As `coverage`, of intervals of `half_width`."""
-    off = np.abs(truth - draws.mean(0))
+def held_within(
+    draws: np.ndarray, truth: np.ndarray, common: float, about: np.ndarray | None = None
+) -> dict[str, float]:
+    """As `coverage`, of intervals of `half_width` about the draws' mean, or about values (k,) that
+    are given: a picture of the draws' mean is not the mean of their pictures.
+    """
+    off = np.abs(truth - (draws.mean(0) if about is None else about))
     deviation = draws.std(0, ddof=1)
     return {
         f"{nominal:.0%}": float((off <= half_width(deviation, len(draws), nominal, common)).mean())

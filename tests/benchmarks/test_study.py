@@ -28,6 +28,7 @@ from benchmarks.study.labels import HEIGHT, apart, box_of
 from benchmarks.study.losses import losses
 from benchmarks.study.methods import METHODS, OURS, methods_named, scene_for
 from benchmarks.study.pictures import draw
+from benchmarks.study.spread_pictures import spread_rows
 from benchmarks.study.store import suite_rows
 from benchmarks.study.tables import (
     coverage_error,
@@ -373,3 +374,16 @@ def test_pictures_have_a_row_for_the_truth_and_each_method(tmp_path):
             sizes.append(picture.height)
     assert (tmp_path / "one.jpg").read_bytes() == (tmp_path / "two.jpg").read_bytes()
     assert sizes[2] > 1.3 * sizes[0]
+
+
+def test_spread_and_error_of_draws_are_shown_inside_the_mask():
+    """Root mean squares over the channels; white outside."""
+    mask = np.array([[True, False]])
+    light = lambda value: np.full((1, 2, 3), value)
+    draws = [[light(-1.0), light(0.1)], [light(1.0), light(0.3)]]
+    (name, spread), (_, error) = spread_rows(draws, [light(0.5), light(0.1)], mask)
+    assert name == "spread"
+    assert [text for _, text in spread] == ["1.4", "0.14"]
+    assert [text for _, text in error] == ["0.5", "0.1"]
+    for picture, _ in (spread[1], error[1]):
+        assert picture[0, 1].tolist() == [1, 1, 1] != picture[0, 0].tolist()

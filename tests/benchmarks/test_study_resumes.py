@@ -132,3 +132,9 @@ def test_a_mean_is_made_of_the_draws_that_are_kept(photos, tmp_path, monkeypatch
     picture = np.load(tmp_path / "draws" / photos.name / "map_mean" / "0.npz")["sh"]
     expected = np.mean([rows.light_unknowns(x.light) for x in draws], 0)
     np.testing.assert_allclose(picture, expected, rtol=1e-4, atol=1e-5)
+
+    join(photos, "map_mean", made, tmp_path / "draws", {})
+    held = read_json(made / photos.name / "map_mean" / TOGETHER)
+    assert held["seeds"] == [*range(MEANT)] and held["scores"].keys() == {"within"}
+    for shares in held["scores"]["within"].values():
+        assert 0 <= shares["0.0"]["80%"] <= shares["0.04"]["80%"] <= 1

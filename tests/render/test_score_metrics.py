@@ -170,3 +170,5 @@ def test_intervals_that_know_of_a_common_error_hold_what_they_say(common):
         assert held[f"{nominal:.0%}"] == pytest.approx(nominal, abs=0.03)
     if common == 3:
         assert held_within(draws, truth, 0)["80%"] < 0.6
+    assert held_within(draws, truth, common, draws.mean(0)) == held
+    assert held_within(draws, truth, common, draws.mean(0) + 100)["95%"] == 0
