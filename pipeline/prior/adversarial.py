@@ -15,7 +15,7 @@ from pipeline.prior.value_code import Code
 from pipeline.prior.weight_facts import FIRST_ROWS, GENERATOR_ROWS
 
 LATENTS = 64
-CHANNELS = (64, 48, 32, 24)  # at 4, 8, 16 and 32 rows
+CHANNELS = (128, 96, 64, 48)  # at 4, 8, 16 and 32 rows
 SLOPE = 0.2  # of the leaky ReLU
 
 

@@ -15,15 +15,15 @@ from torch import nn
 from pipeline.base.progress import Bar
 from pipeline.prior.adversarial import SLOPE, AdversarialGenerator
 from pipeline.prior.network import Conv
-from pipeline.prior.training.made_lights import MadeLights
+from pipeline.prior.training.lights import Lights
 from pipeline.prior.weight_facts import FIRST_ROWS
 
-BATCH = 16
+BATCH = 32
 RATE = 2e-3  # of Adam, for both networks; falls to a tenth
 BETAS = (0.0, 0.99)
 R1_WEIGHT = 1.0
 R1_EVERY = 8  # steps; its weight is as many times larger (Karras et al. 2020)
-HALF_LIFE = 1500  # images, of the generator's average
+HALF_LIFE = 10_000  # images, of the generator's average
 
 
 class Critic(nn.Module):
@@ -41,7 +41,7 @@ class Critic(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         n, _, h, w = x.shape
-        sine = torch.sin(np.pi * (0.5 - (torch.arange(h) + 0.5) / h))
+        sine = torch.sin(np.pi * (0.5 - (torch.arange(h, device=x.device) + 0.5) / h))
         x = torch.cat([x, sine[None, None, :, None].expand(n, 1, h, w)], 1)
         x = F.leaky_relu(self.enter(x), SLOPE)
         for conv in self.down:
@@ -66,12 +66,13 @@ def critic_loss(
 
 
 def train(
-    generator: AdversarialGenerator, lights: MadeLights, steps: int, seed: int
+    generator: AdversarialGenerator, lights: Lights, steps: int, seed: int
 ) -> AdversarialGenerator:
     """The average of the generator's weights over `steps` steps of BATCH lights."""
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
-    critic = Critic(generator.channels)
+    device = lights.codes.device
+    critic = Critic(generator.channels).to(device)
     networks = (generator, critic)
     makes, judges = (torch.optim.Adam(net.parameters(), RATE, betas=BETAS) for net in networks)
     average = deepcopy(generator)
@@ -81,7 +82,7 @@ def train(
         for step in range(steps):
             for optimizer in (makes, judges):
                 optimizer.param_groups[0]["lr"] = RATE * 0.1 ** (step / steps)
-            latents = torch.randn(2, BATCH, *generator.latents)
+            latents = torch.randn(2, BATCH, *generator.latents, device=device)
 
             with torch.no_grad():
                 made = generator(latents[0])

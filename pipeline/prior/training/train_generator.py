@@ -1,10 +1,11 @@
-"""Train a generator of lights, which a sampler of earlier work inverts, on procedural lights.
+"""Train a generator of lights, which a sampler of earlier work inverts, on the maps that the
+diffusion priors have learnt from.
 
-python -m pipeline.prior.training.train_generator --kind gan_latent --cache RUN/made_lights.npz \\
+python -m pipeline.prior.training.train_generator --kind gan_latent --data RUN/data.npz \\
     --out weights/generators/gan_latent.safetensors
 
-On one thread, of the same bits every time on a machine. The lights are made from `--seed` and kept
-in `--cache`, so that both kinds see the same ones.
+RUN/data.npz is the cache of maps that pipeline.prior.training.train makes. Both kinds see the same
+views of them. On a processor one thread works, with the same bits every time on a machine.
 """
 
 from __future__ import annotations
@@ -24,36 +25,35 @@ from pipeline.prior.adversarial import AdversarialGenerator
 from pipeline.prior.equivariant import EquivariantField
 from pipeline.prior.training.adversarial_training import train
 from pipeline.prior.training.auto_decoder import fit
-from pipeline.prior.training.made_lights import MadeLights, make_lights, views_of
+from pipeline.prior.training.data import Data
+from pipeline.prior.training.lights import Lights, views_of
+from pipeline.prior.training.settings import Training
 from pipeline.prior.weight_files import save_parts
 
 HEIGHT = 32
-VIEWS = 4  # of each light
-FIELD = {"count": 25, "hidden": 128, "layers": 4}
+REAL_SHARE = Training().real_share  # of the views, as in the diffusion priors' batches
+FIELD = {"count": 36, "hidden": 192, "layers": 5}
 
 
-def gan_latent(stored: np.ndarray, steps: int, seed: int) -> tuple[torch.nn.Module, dict]:
+def gan_latent(lights: Lights, steps: int, seed: int) -> tuple[torch.nn.Module, dict]:
     """An adversarial generator, and the facts that it is loaded by."""
-    lights: MadeLights = views_of(stored, HEIGHT, VIEWS, seed)
     torch.manual_seed(seed)
-    made = train(AdversarialGenerator(lights.code), lights, steps, seed)
+    generator = AdversarialGenerator(lights.code).to(lights.codes.device)
+    made = train(generator, lights, steps, seed)
     code = {"mean": lights.code.mean, "std": lights.code.std}
     return made, {"format": "adversarial", **code, "channels": made.channels}
 
 
-def equivariant_field(stored: np.ndarray, steps: int, seed: int) -> tuple[torch.nn.Module, dict]:
-    """A field, and the facts that it is loaded by. One view of each light: the others are turns,
-    which its latents take up.
-    """
-    lights = views_of(stored, HEIGHT, 1, seed)
+def equivariant_field(lights: Lights, steps: int, seed: int) -> tuple[torch.nn.Module, dict]:
+    """A field, and the facts that it is loaded by."""
     torch.manual_seed(seed)
-    field = EquivariantField(lights.code, **FIELD)
-    fit(field, lights.codes.numpy(), progress(np.arange(steps) / steps, "auto-decoder"), seed)
+    field = EquivariantField(lights.code, **FIELD).to(lights.codes.device)
+    fit(field, lights.codes, progress(np.arange(steps) / steps, "auto-decoder"), seed)
     code = {"mean": lights.code.mean, "std": lights.code.std}
     return field, {"format": "equivariant", **code, "shape": field.shape}
 
 
-KINDS = {"gan_latent": (gan_latent, 3000), "equivariant_field": (equivariant_field, 5000)}
+KINDS = {"gan_latent": gan_latent, "equivariant_field": equivariant_field}
 
 
 def main() -> None:
@@ -61,22 +61,22 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--kind", choices=list(KINDS), required=True)
-    parser.add_argument("--lights", type=int, default=400)
-    parser.add_argument("--steps", type=int, help="of training; none: the kind's own number")
+    parser.add_argument("--data", type=Path, required=True, help="cache of training maps")
+    parser.add_argument("--views", type=int, default=2000)
+    parser.add_argument("--steps", type=int, default=20_000, help="of training")
     parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--cache", type=Path, required=True, help="lights, made where missing")
+    parser.add_argument("--device", default="cpu", help="torch's name: cpu or cuda")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
 
     set_threads(1)
-    stored = make_lights(args.lights, HEIGHT, args.seed, args.cache)
-    begin, (make, standard) = time.process_time(), KINDS[args.kind]
-    steps = args.steps or standard
-    made, facts = make(stored, steps, args.seed)
-    trained = {"steps": steps, "lights": len(stored), "seed": args.seed}
-    tensors = {name: value.detach().half() for name, value in made.state_dict().items()}
+    lights = views_of(Data.load(args.data, HEIGHT), args.views, REAL_SHARE, args.seed)
+    begin = time.monotonic()
+    made, facts = KINDS[args.kind](lights.on(args.device), args.steps, args.seed)
+    trained = {"steps": args.steps, "views": args.views, "seed": args.seed}
+    tensors = {name: value.detach().cpu().half() for name, value in made.state_dict().items()}
     files = save_parts(tensors, facts | trained, args.out)
-    spent = {"core_seconds": round(time.process_time() - begin), "files": [f.name for f in files]}
+    spent = {"seconds": round(time.monotonic() - begin), "files": [f.name for f in files]}
     print(json.dumps(facts | trained | spent))
 
 
