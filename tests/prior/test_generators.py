@@ -126,8 +126,8 @@ def test_a_turned_view_is_rolled_and_one_in_two_mirrored():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_committed_generators_draw_lights_that_differ(name):
-    """Natural codes have deviation 0.5 by definition; a field's draws are paler. Up is brighter than
-    down on average, by .16 or so, many standard errors of so many maps.
+    """Natural codes have deviation 0.5 by definition; a field's draws are paler. Up is brighter
+    than down on average, by .16 or so, many standard errors of so many maps.
     """
     assert sum(file.stat().st_size for file in generator_files(name)) <= 2**21
     generator = load_generator(name)
