@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import matplotlib
@@ -11,9 +12,9 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 from matplotlib.figure import Figure
 
-from pipeline.base.files import atomic_path
+from pipeline.base.files import atomic_path, read_json
 
-__all__ = ["STYLE", "matplotlib", "pyplot", "saved"]
+__all__ = ["STYLE", "matplotlib", "pyplot", "rows_and_out", "saved"]
 
 STYLE = {
     "font.size": 9,
@@ -31,3 +32,17 @@ def saved(figure: Figure, out: Path, dpi: int) -> None:
         with atomic_path(out.with_suffix(end)) as path:
             figure.savefig(path, dpi=dpi, metadata=keep)
     pyplot.close(figure)
+
+
+def rows_and_out(text: str | None) -> tuple[dict, Path]:
+    """What a chart's command line names, whose help is `text`: --rows, what a benchmark has
+    gathered, as it wrote it or as it is committed, and the folder --out.
+    """
+    parser = argparse.ArgumentParser(
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rows", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args()
+    found = read_json(args.rows)
+    return found.get("data", found), args.out

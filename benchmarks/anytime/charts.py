@@ -5,18 +5,16 @@ python -m benchmarks.anytime.charts --rows benchmarks/results/anytime.json --out
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter
 
 from benchmarks.anytime.tables import methods_in, points, scenes_in
-from benchmarks.figures import STYLE, matplotlib, pyplot, saved
+from benchmarks.figures import STYLE, matplotlib, pyplot, rows_and_out, saved
 from benchmarks.study.charts import COLORS
 from benchmarks.study.methods import is_ours
 from pipeline.base.errors import run_stage
-from pipeline.base.files import read_json
 
 PANELS = {
     "relight_psnr": "relight PSNR, dB",
@@ -68,14 +66,8 @@ def page(rows: list[dict], out: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--rows", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args()
-    found = read_json(args.rows)
-    page(found.get("data", found)["rows"], args.out / "anytime")
+    data, out = rows_and_out(__doc__)
+    page(data["rows"], out / "anytime")
 
 
 if __name__ == "__main__":

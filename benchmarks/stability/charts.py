@@ -5,13 +5,12 @@ python -m benchmarks.stability.charts --rows benchmarks/results/stability.json -
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from benchmarks.figures import STYLE, matplotlib, pyplot, saved
+from benchmarks.figures import STYLE, matplotlib, pyplot, rows_and_out, saved
 from benchmarks.stability.knobs import KNOBS
 from benchmarks.stability.limits import (
     FALL,
@@ -25,7 +24,6 @@ from benchmarks.stability.limits import (
 from benchmarks.stability.scenes import scene_name
 from benchmarks.study.methods import OURS
 from pipeline.base.errors import run_stage
-from pipeline.base.files import read_json
 
 COLUMNS = 6
 COLORS = {OURS: "#b4500f", f"{OURS}_mean": "#e0a070", "map": "#28507d", "dpi_paper": "#3c7d28"}
@@ -105,18 +103,12 @@ def page(data: dict, base: str, out: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--rows", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args()
-    found = read_json(args.rows)
-    rows = found.get("data", found)["rows"]
+    found, out = rows_and_out(__doc__)
+    rows = found["rows"]
     for size in dict.fromkeys(row["size"] for row in rows):
         data = {"rows": [row for row in rows if row["size"] == size]}
         for base in bases_in(data):
-            page(data, base, args.out / f"stability_{scene_name(size, base)}")
+            page(data, base, out / f"stability_{scene_name(size, base)}")
 
 
 if __name__ == "__main__":

@@ -91,16 +91,22 @@ def draw(rows: list[Row], to: Path) -> None:
         pyplot.close(figure)
 
 
-def main() -> None:
+def of_a_scene(text: str | None) -> argparse.ArgumentParser:
+    """The command line of pictures of one scene, whose help is `text`."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--rows", type=Path, default=ROWS, help="the committed ones if not given")
     parser.add_argument("--suite", default="XS")
     parser.add_argument("--scene", required=True)
-    parser.add_argument("--methods", required=True, help="names, with commas between")
     parser.add_argument("--to", type=Path, required=True)
+    return parser
+
+
+def main() -> None:
+    parser = of_a_scene(__doc__)
+    parser.add_argument("--methods", required=True, help="names, with commas between")
     args = parser.parse_args()
     folder, draws = suite_folder(args.rows, args.suite), args.out / "draws" / args.scene
     methods = methods_named(args.methods.split(","))

@@ -11,15 +11,14 @@ square. Where the error is bright, an honest spread is too.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.figures import matplotlib
 from benchmarks.study.methods import methods_named
-from benchmarks.study.pictures import VIEW, Row, draw, row_of, shown_names, true_row
-from benchmarks.study.store import ROWS, row_file, seeds_in, suite_folder
+from benchmarks.study.pictures import VIEW, Row, draw, of_a_scene, row_of, shown_names, true_row
+from benchmarks.study.store import row_file, seeds_in, suite_folder
 from benchmarks.study.together import truth_of_row
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import read_json
@@ -68,15 +67,8 @@ def spread_rows(draws: list[Compared], known: Compared, mask: np.ndarray) -> lis
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--rows", type=Path, default=ROWS, help="the committed ones if not given")
-    parser.add_argument("--suite", default="XS")
-    parser.add_argument("--scene", required=True)
+    parser = of_a_scene(__doc__)
     parser.add_argument("--method", required=True)
-    parser.add_argument("--to", type=Path, required=True)
     args = parser.parse_args()
     methods_named([args.method])
     folder, packs = suite_folder(args.rows, args.suite), args.out / "draws" / args.scene

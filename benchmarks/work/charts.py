@@ -5,17 +5,15 @@ python -m benchmarks.work.charts --rows benchmarks/results/work.json --out docs
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter
 
-from benchmarks.figures import STYLE, matplotlib, pyplot, saved
+from benchmarks.figures import STYLE, matplotlib, pyplot, rows_and_out, saved
 from benchmarks.work.knobs import KNOBS
 from benchmarks.work.tables import curve, knobs_in, slope
 from pipeline.base.errors import run_stage
-from pipeline.base.files import read_json
 
 KINDS = {"core_seconds": "processor seconds", "peak_gib": "peak memory, GiB"}
 COLORS = {"core_seconds": "#b4500f", "peak_gib": "#28507d"}
@@ -54,14 +52,8 @@ def page(data: dict, out: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--rows", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args()
-    found = read_json(args.rows)
-    page(found.get("data", found), args.out / "work")
+    data, out = rows_and_out(__doc__)
+    page(data, out / "work")
 
 
 if __name__ == "__main__":
