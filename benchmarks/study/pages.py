@@ -50,7 +50,8 @@ def chart_source(suite: str) -> str:
     copy = "To copy: `preset: draft` or `preset: standard` in the scene's configuration, or"
     return (
         f"<sub>{said('machine')}; {days}{redraw}. {copy} `sample: {{method: NAME}}` for a method "
-        "that is no preset.</sub>\n"
+        "that is no preset. A method's `_mean` is what an asset of three samples opens with: "
+        "`samples: 3`, the default.</sub>\n"
     )
 
 
