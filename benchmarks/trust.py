@@ -22,7 +22,7 @@ from scipy import optimize, stats
 
 from benchmarks.scenes import machine
 from benchmarks.stability.scenes import BASES
-from benchmarks.study.methods import OURS, scene_for
+from benchmarks.study.methods import OURS, methods_named, scene_for
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import read_json, write_json
 from pipeline.base.progress import progress
@@ -47,13 +47,13 @@ def kind_of(scene: str) -> str:
     return re.sub(rf"^({'|'.join(BASES)})_", "", stem)
 
 
-def of_run(runs: Path, scene_name: str) -> dict | None:
-    """The row of a scene's draws, or None where they say nothing (`Evidence`)."""
-    draws = sorted((runs / "draws" / scene_name / OURS).iterdir(), key=lambda path: int(path.name))
-    rows = [read_json(runs / "rows" / scene_name / OURS / f"{path.name}.json") for path in draws]
+def of_run(runs: Path, scene_name: str, method: str) -> dict | None:
+    """The row of a scene's draws by a method, or None where they say nothing (`Evidence`)."""
+    draws = drawn(runs, scene_name, method)
+    rows = [read_json(runs / "rows" / scene_name / method / f"{path.name}.json") for path in draws]
     explanations = [Explanation.load(path) for path in draws]
     work = runs / "work" / scene_name
-    scene = scene_for(OURS, str(runs / "scenes" / scene_name))
+    scene = scene_for(method, str(runs / "scenes" / scene_name))
 
     first = explanations[0]
     at = {stage: work / stage for stage in ("observe", "poses", "atlas", "mesh")}
@@ -69,23 +69,31 @@ def of_run(runs: Path, scene_name: str) -> dict | None:
     relight = float(np.mean([row["scores"]["relight_psnr"] for row in rows]))
     return {
         "scene": scene_name,
+        "method": method,
         "draws": len(draws),
         "evidence": asdict(found),
         "relight_psnr": relight,
     }
 
 
-def gathered(folders: list[Path], out: Path) -> dict:
-    """Rows of all runs that have draws, kept in `out` one after the other: those that are there are
-    not made again.
+def drawn(runs: Path, scene_name: str, method: str) -> list[Path]:
+    """The draws of a scene that are there, by their seeds."""
+    folder = runs / "draws" / scene_name / method
+    found = [path for path in folder.glob("*") if path.is_dir() and path.name.isdecimal()]
+    return sorted(found, key=lambda path: int(path.name))
+
+
+def gathered(folders: list[Path], out: Path, method: str) -> dict:
+    """Rows of all runs that have draws by a method, kept in `out` one after the other: scenes that
+    are there are not gathered again.
     """
     runs = [(folder, path.name) for folder in folders for path in (folder / "draws").iterdir()]
-    complete = [(f, name) for f, name in sorted(runs) if (f / "draws" / name / OURS).exists()]
+    complete = [(folder, name) for folder, name in sorted(runs) if drawn(folder, name, method)]
     known = read_json(out) if out.exists() else {"rows": [], "without_evidence": []}
     rows, without = known["rows"], known["without_evidence"]
     done = {row["scene"] for row in rows} | set(without)
     for folder, name in progress([run for run in complete if run[1] not in done], "runs"):
-        row = of_run(folder, name)
+        row = of_run(folder, name, method)
         if row is None:
             without.append(name)
         else:
@@ -172,7 +180,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--runs", type=Path, nargs="+", help="folders of benchmarks.stability")
-    parser.add_argument("--out", type=Path, help="JSON file for rows")
+    parser.add_argument("--method", default=OURS, help="whose draws are looked at")
+    parser.add_argument("--out", type=Path, help="JSON file for rows; new ones are added")
     parser.add_argument("--rows", type=Path, help="rows that are there")
     parser.add_argument("--write", action="store_true", help="write pipeline/report/trust.json")
     args = parser.parse_args()
@@ -180,7 +189,7 @@ def main() -> None:
         raise InputError("give --runs and --out, or --rows", "benchmarks.trust", "see --help")
     if args.runs:
         set_threads(1)
-        gathered(args.runs, args.out)
+        gathered(args.runs, args.out, *methods_named([args.method]))
         return
     rows = read_json(args.rows)["rows"]
     for name, value in figures(rows).items():

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from benchmarks.anytime.tables import methods_in, points, scenes_in
 from benchmarks.figures import STYLE, matplotlib, pyplot, rows_and_out, saved
@@ -43,7 +43,9 @@ def draw(axes: Axes, rows: list[dict], kind: str) -> None:
         axes.plot(seconds, values, lw=1.4, marker=".", ms=4, label=name, **style)
         axes.plot(seconds[-1], values[-1], "o", ms=6, color=style["color"])
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("seconds on two cores, refinement included", fontsize=8)
     axes.set_title(PANELS[kind], fontsize=9, loc="left")
 
@@ -55,7 +57,7 @@ def page(rows: list[dict], out: Path) -> None:
         figure, grid = pyplot.subplots(1, len(PANELS), figsize=size, layout="constrained")
         for axes, kind in zip(grid, PANELS):
             draw(axes, rows, kind)
-        grid[0].legend(fontsize=7, frameon=False, loc="lower right")
+        grid[0].legend(fontsize=7, frameon=False, loc="center right")
         figure.suptitle(
             f"runs stopped early, mean of {len(scenes_in(rows))} scenes; large dots: the whole run",
             fontsize=9,

@@ -14,6 +14,7 @@ from benchmarks import (
     surfaces_tables,
     trust_tables,
 )
+from benchmarks.anytime import tables as anytime_tables
 from benchmarks.stability import limits as stability
 from benchmarks.study import pages as study_pages
 from benchmarks.tables import (
@@ -80,6 +81,7 @@ def of_assets() -> dict[str, Callable[[], str]]:
         "trust_summary": lambda: trust_tables.summary(rows_of("trust")),
         "trust_examples": lambda: trust_tables.examples(rows_of("trust")) + source("trust"),
         "work_slopes": lambda: work_tables.slopes(results("work")["data"]),
+        "anytime": lambda: anytime_tables.table(rows_of("anytime")) + source("anytime"),
         "memory": lambda: memory.table(rows_of("memory")) + source("memory"),
         "work_figures": lambda: work_tables.figures(results("work")["data"]) + source("work"),
     }

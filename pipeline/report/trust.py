@@ -30,7 +30,7 @@ SIDE = 96  # longest side in pixels of the pictures that draws are compared in
 SPP = 32
 VIEWS = 3
 OUTLINE_SIDE, OUTLINE_VIEWS = 256, 8  # the same of outlines, which are cheap
-BEST = 40.0  # dB above which a figure says no more
+BEST = 30.0  # dB above which a figure says no more
 WEIGHS = 0.5  # log odds from which a figure is named as a reason
 DOUBT = 0.2  # chance from which reasons are given
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import trust_tables
-from benchmarks.trust import auroc, chances, figures, fitted, kind_of, left_out
+from benchmarks.trust import auroc, chances, drawn, figures, fitted, kind_of, left_out
 from pipeline.base.errors import InputError
 from pipeline.report.trust import Evidence
 from tests.seeds import numpy_rng
@@ -80,3 +80,13 @@ def test_examples_are_some_right_alarms_and_all_that_is_wrong():
     least = min(chance[[run["scene"] in named("right alarm") for run in runs]])
     assert (chance[alarm & failed] > least).sum() == 2
     assert f"| runs below 18 dB under new light | {failed.sum()} |" in trust_tables.summary(runs)
+
+
+def test_draws_are_taken_by_their_seeds(tmp_path):
+    """Draws of one method, without what else lies beside them."""
+    place = tmp_path / "draws" / "a" / "map"
+    for name in ("10", "9", "0", "fit"):
+        (place / name).mkdir(parents=True)
+    (place / "0.npz").touch()
+    assert [path.name for path in drawn(tmp_path, "a", "map")] == ["0", "9", "10"]
+    assert drawn(tmp_path, "a", "gaussian") == drawn(tmp_path, "b", "map") == []
