@@ -26,7 +26,14 @@ from benchmarks.study.methods import OURS
 from pipeline.base.errors import run_stage
 
 COLUMNS = 6
-COLORS = {OURS: "#b4500f", f"{OURS}_mean": "#e0a070", "map": "#28507d", "dpi_paper": "#3c7d28"}
+COLORS = {
+    OURS: "#b4500f",
+    f"{OURS}_mean": "#e0a070",
+    "preset_draft": "#8a1f4f",
+    "preset_draft_mean": "#d06fa0",
+    "map": "#28507d",
+    "dpi_paper": "#3c7d28",
+}
 OTHER = "#777777"
 COVERAGE = "#999999"
 

@@ -16,7 +16,7 @@ SCORES = (
     "roughness_mse",
     "metallic_mse",
 )
-SUITES = {"means_s": "S", "means_w": "W"}  # files of rows
+SUITES = {"means_s": "S", "means_w": "W", "means_pairs": "pairs"}  # files of rows
 PHOTOS = "means_photos"
 
 
