@@ -29,7 +29,7 @@ from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import write_json
 from pipeline.base.progress import progress
 
-METHODS = (OURS, f"{OURS}_mean", "map", "dpi_paper")
+METHODS = ("preset_draft", "preset_draft_mean", OURS, "map", "dpi_paper")
 
 
 def run(point: Point, methods: list[str], out: Path, most: int | None) -> bool:
