@@ -115,7 +115,9 @@ class Mesh(Section):
     """Surface from masks and photos; ignored when mesh.ply or mesh.obj is given."""
 
     method: Literal["auto", "hull", "fused"] = Field(
-        "auto", description="auto: fused if the views agree, else hull"
+        "auto",
+        description="auto: fused if depth maps agree and it predicts photos left out better than "
+        "the hull does, else hull",
     )
     grid: int = Field(256, ge=48, le=512, description="cells along the longest side of the volume")
     faces: int = Field(30000, ge=200, le=500000, description="triangles after decimation")
@@ -136,7 +138,7 @@ class Mesh(Section):
         description="photometric refinement: steps at half and at full scale; 0: none",
     )
     plate: float = Field(
-        2.0, gt=0, le=100, description="photometric refinement: stiffness against the photos' noise"
+        8.0, gt=0, le=100, description="photometric refinement: stiffness against the photos' noise"
     )
 
 

@@ -28,13 +28,22 @@ def largest_solid(field: np.ndarray, share: float = 0.05) -> np.ndarray:
 
 
 def to_mesh(field: np.ndarray, grid: Grid) -> Mesh:
-    """Marching cubes of the zero surface (always closed: the field is padded with outside)."""
-    field = np.pad(largest_solid(ndimage.gaussian_filter(field, 0.7)), 1, constant_values=-1.0)
-    if field.max() <= 0:
+    """`zero_surface`. Raises InputError where there is none."""
+    mesh = zero_surface(field, grid)
+    if mesh is None:
         raise InputError(
             "the masks leave no volume", "mesh", "check the masks (work/<scene>/masks/overlay.jpg)"
         )
+    return mesh
 
+
+def zero_surface(field: np.ndarray, grid: Grid) -> Mesh | None:
+    """Marching cubes of the zero surface (always closed: the field is padded with outside); None
+    where nothing is inside.
+    """
+    field = np.pad(largest_solid(ndimage.gaussian_filter(field, 0.7)), 1, constant_values=-1.0)
+    if field.max() <= 0:
+        return None
     vertices, faces, _, _ = marching_cubes(
         field.astype(np.float32), 0.0, gradient_direction="ascent"
     )

@@ -1,25 +1,27 @@
 """Masks and depth maps become one field over a grid, whose zero surface is the object.
 
-SURFACE_METHODS: name -> function(grid, strict hull, loose hull, depth maps) -> field. hull: soft
-visual hull. fused: where depth maps stand, they make the surface; the hull does elsewhere. Both end
-in marching cubes, always closed.
+hull: soft visual hull. fused: where depth maps stand, they make the surface; the hull does
+elsewhere. Both end in marching cubes, always closed. The fused one, which holds more, has to earn
+its place: it is taken where it predicts photos that were left out better (prediction.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
-from dataclasses import dataclass
+from collections.abc import Container
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from pipeline.base.config import Mesh as MeshSettings
 from pipeline.base.errors import InputError
 from pipeline.geometry.cameras import Rig, View
+from pipeline.geometry.mesh_io import Mesh
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import hull_points
-from pipeline.surface.clean import to_mesh
+from pipeline.surface.clean import to_mesh, zero_surface
 from pipeline.surface.depth import Depth, depth_maps
 from pipeline.surface.field import hull_of, projections, stacked, stereo_field
+from pipeline.surface.prediction import Gain, gain
 
 TRUNCATION = 4.0  # cells
 LOOSE = 0.25  # share of masks that may be wrong where depth maps stand
@@ -59,6 +61,16 @@ class Silhouettes:
         masks = [self.masks[v.name] for v in self.carving]
         return hull_of(grid, self.carving, masks, TRUNCATION * grid.cell, tolerance)
 
+    def above_ground(self, grid: Grid, field: np.ndarray) -> np.ndarray:
+        """The field without what lies below the ground, where one is known: nothing of the object
+        does, and a thin slab of ground would stick to it.
+        """
+        if self.ground is None:
+            return field
+        y = grid.low[1] + (np.arange(grid.shape[1]) + 0.5) * grid.cell
+        above = (y - self.ground - 1.5 * grid.cell) / (TRUNCATION * grid.cell)
+        return np.minimum(field, above[None, :, None])
+
 
 def silhouettes_of(rig: Rig, masks: dict, carve: Container[str], given: bool) -> Silhouettes:
     """What the masks say; carve: names of the views that may take volume away; given: all masks
@@ -95,11 +107,6 @@ def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
     )
 
 
-def only_hull(grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth]) -> np.ndarray:
-    """The visual hull as it is."""
-    return strict
-
-
 def fuse(grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth]) -> np.ndarray:
     """The mean of the depth maps' truncated distances (Curless and Levoy 1996), inside the loose
     hull, wherever the agreeing views sum to LEAST_WEIGHT; the strict hull elsewhere. A cell that a
@@ -119,46 +126,49 @@ def fuse(grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth])
     return np.where((free >= 1) & (free > LEAST_FREE * weight), np.minimum(out, -0.5), out)
 
 
-SURFACE_METHODS: dict[str, Callable[..., np.ndarray]] = {"hull": only_hull, "fused": fuse}
-
-
-def build_field(
+def build_surface(
     seen: Silhouettes, images: list[np.ndarray], settings: MeshSettings, threads: int
-) -> tuple[np.ndarray, Grid, dict]:
-    """Field and grid by the chosen method, and the facts behind the choice.
+) -> tuple[Mesh, Grid, dict]:
+    """Surface and grid by the chosen method, and the facts behind the choice.
 
     images: the photos as grey (h, w) in [0, 1], sRGB-encoded, one per view of the rig.
     """
     depths: list[Depth] = []
-    share = None
+    facts: dict = {"depth_share": None}
     if settings.method != "hull":
         around = seen.grid(RANGE_GRID)
-        hull = to_mesh(seen.hull(around, LOOSE), around)
-        depths, share = depth_maps(
+        rough = to_mesh(seen.hull(around, LOOSE), around)
+        depths, facts["depth_share"] = depth_maps(
             seen.rig.views,
             images,
-            hull,
+            rough,
             seen.margin,
             settings.depth_pixels,
             threads,
             seen.ground,
         )
-    method, why = _choose(settings, share)
+    method, why = _trusted(settings, facts["depth_share"])
 
     grid = seen.grid(settings.grid)
-    loose = seen.hull(grid, LOOSE)
-    field = SURFACE_METHODS[method](grid, seen.hull(grid, seen.tolerance), loose, depths)
+    strict = seen.above_ground(grid, seen.hull(grid, seen.tolerance))
+    if method == "hull":
+        return to_mesh(strict, grid), grid, {"method": method, "why": why} | facts
 
-    # nothing of the object lies below the ground; a thin slab of ground would stick to it
-    if seen.ground is not None:
-        y = grid.low[1] + (np.arange(grid.shape[1]) + 0.5) * grid.cell
-        above = (y - seen.ground - 1.5 * grid.cell) / (TRUNCATION * grid.cell)
-        field = np.minimum(field, above[None, :, None])
-    return field, grid, {"method": method, "why": why, "depth_share": share}
+    fused = fuse(grid, strict, seen.hull(grid, LOOSE), depths)
+    surface = to_mesh(seen.above_ground(grid, fused), grid)
+    hull = zero_surface(strict, grid)
+    if settings.method == "auto" and hull is not None:
+        masks = [seen.masks[view.name] for view in seen.rig.views]
+        found = gain(hull, surface, seen.rig.views, images, masks)
+        facts["gain_over_hull"] = asdict(found)
+        why = f"{why}; {_predicts(found)}"
+        if not found.clear:
+            method, surface = "hull", hull
+    return surface, grid, {"method": method, "why": why} | facts
 
 
-def _choose(settings: MeshSettings, share: float | None) -> tuple[str, str]:
-    """A key of SURFACE_METHODS, and why it was chosen. `share`: of the hull's pixels with depth."""
+def _trusted(settings: MeshSettings, share: float | None) -> tuple[str, str]:
+    """`hull` or `fused`, and why. `share`: of the hull's pixels with depth."""
     if settings.method != "auto":
         return settings.method, "asked for"
 
@@ -170,3 +180,15 @@ def _choose(settings: MeshSettings, share: float | None) -> tuple[str, str]:
         "are needed to trust it"
     )
     return ("fused" if trusted else "hull"), why
+
+
+def _predicts(found: Gain) -> str:
+    """What the fused surface's `gain` over the hull says, in plain words."""
+    share = f"{100 * abs(found.share):.1f} % ± {100 * found.standard_error:.1f}"
+    if found.clear:
+        return f"the fused surface predicts photos left out better than the hull, by {share}"
+    less = "better" if found.share > 0 else "worse"
+    return (
+        "but the fused surface does not clearly predict photos left out better than the hull "
+        f"({share} {less}), so the hull is taken"
+    )

@@ -1,5 +1,5 @@
-"""Surface of the object; `make_mesh` runs the whole stage: depth maps and hull are fused, the
-surface is moved to where photos agree best, then decimated.
+"""Surface of the object; `make_mesh` runs the whole stage: the hull or, where photos ask for it,
+hull and depth maps fused and moved to where photos agree best; then decimated.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from pipeline.geometry.cameras import Rig, load_cameras
 from pipeline.geometry.mesh_io import Mesh, normal_wobble, save_mesh
 from pipeline.masks.facts import MaskFacts
 from pipeline.surface.bake import DENSE
-from pipeline.surface.clean import facts, simplify, to_mesh
+from pipeline.surface.clean import facts, simplify
 from pipeline.surface.depth import neighbours
 from pipeline.surface.facts import SurfaceFacts
-from pipeline.surface.fusion import build_field, silhouettes_of
+from pipeline.surface.fusion import build_surface, silhouettes_of
 from pipeline.surface.given import given_mesh
 from pipeline.surface.photometric import Refinement, refine_mesh
 from pipeline.surface.preview import Silhouette, shaded
@@ -40,8 +40,7 @@ def reconstructed(
     masks = {v.name: read_png(masks_folder / "masks" / f"{v.name}.png") > 127 for v in rig.views}
     seen = silhouettes_of(rig, masks, known.carving, known.all_given)
     images = grey_photos(rig, poses)
-    field, grid, how = build_field(seen, images, settings, threads)
-    dense = to_mesh(field, grid)
+    dense, grid, how = build_surface(seen, images, settings, threads)
     if how["method"] == "fused" and settings.refine_steps:
         near = neighbours(rig.views, rig.center, NEIGHBOURS)
         steps = (settings.refine_steps,) * 2

@@ -23,7 +23,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numba import njit
 
@@ -32,6 +31,7 @@ from pipeline.base.progress import Bar
 from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import Mesh, unit, vertex_normals
 from pipeline.surface.consistency import WINDOW, Sight, pull, with_slopes
+from pipeline.surface.pictures import at_size, mask_like, reduced
 from pipeline.surface.plate import Plate
 from pipeline.surface.zbuffer import Crop, z_buffer
 
@@ -92,9 +92,9 @@ def refine_mesh(
     history = []
     with Bar("refine surface", sum(settings.steps)) as bar, ThreadPoolExecutor(threads) as pool:
         for scale, steps in zip(settings.scales, settings.steps):
-            pictures = [_reduced(image, scale * shrink) for image in images]
-            sized = [_at_size(v, p) for v, p in zip(views, pictures)]
-            allowed = None if masks is None else [_like(m, p) for m, p in zip(masks, pictures)]
+            pictures = [reduced(image, scale * shrink) for image in images]
+            sized = [at_size(v, p) for v, p in zip(views, pictures)]
+            allowed = None if masks is None else [mask_like(m, p) for m, p in zip(masks, pictures)]
             home = x
             for _ in range(steps):
                 g, h, score = _photo_pull(x, faces, sized, pictures, allowed, neighbours, pool)
@@ -113,33 +113,9 @@ def affordable(mesh: Mesh, views: list[View], images: list[np.ndarray], pixels: 
     """Factor by which the images must be reduced for the boxes around the mesh to hold no more than
     `pixels` in all; at most 1.
     """
-    boxes = (Crop.around(_at_size(v, i), mesh.vertices, 0) for v, i in zip(views, images))
+    boxes = (Crop.around(at_size(v, i), mesh.vertices, 0) for v, i in zip(views, images))
     total = sum(float(box.width) * box.height for box in boxes)
     return min(1.0, (pixels / total) ** 0.5)
-
-
-def _at_size(view: View, image: np.ndarray) -> View:
-    """The view at the size of its image, whose sides may be rounded."""
-    h, w = image.shape
-    if abs(w * view.height - h * view.width) > max(view.width, view.height):
-        raise ValueError(f"an image of {w} x {h} pixels is no reduced picture of {view.name}")
-    return view.at_size(w, h)
-
-
-def _reduced(image: np.ndarray, factor: float) -> np.ndarray:
-    """The image at `factor` times its size, at most its own."""
-    image = image.astype(np.float32)
-    if factor >= 1:
-        return image
-    h, w = image.shape
-    size = (max(1, round(w * factor)), max(1, round(h * factor)))
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-
-
-def _like(mask: np.ndarray, picture: np.ndarray) -> np.ndarray:
-    """The mask (bool) at the picture's size; a pixel is in it where all that it stands for is."""
-    h, w = picture.shape
-    return cv2.resize(mask.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA) > 0.99
 
 
 def _footprint(x: np.ndarray, views: list[View]) -> float:

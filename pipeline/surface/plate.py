@@ -68,7 +68,9 @@ class Plate:
         weight = 16 * self.stiffness / length**2 * give
         operator = self.links.T @ sparse.diags(weight) @ self.links
         spring = ANCHOR * self.area(x) / footprint**4
-        pull = g - ((self.links.T @ (weight[:, None] * bend)) * normals).sum(1)
+        # of the bend only its part along the normal, which is all that the operator can take away:
+        # triangles of uneven size bend within the surface too, and that would pull without end
+        pull = g - self.links.T @ (weight * height)
         pull += spring * ((home - x) * normals).sum(1)
         diagonal = h + spring
 

@@ -13,12 +13,12 @@ from pipeline.surface.photometric import (
     ASLANT,
     RIM,
     Refinement,
-    _at_size,
     _front,
     _gather,
     affordable,
     refine_mesh,
 )
+from pipeline.surface.pictures import at_size
 from pipeline.surface.plate import umbrella
 from pipeline.surface.zbuffer import Crop, z_buffer
 from tests.conftest import look_at
@@ -253,7 +253,7 @@ def test_lists_must_match_the_views():
 def test_pictures_whose_sides_are_rounded_are_reduced_pictures():
     """675 x 1200 pixels at half their size are 338 x 600."""
     view = replace(cameras()[0], width=675, height=1200)
-    small = _at_size(view, np.zeros((600, 338), np.float32))
+    small = at_size(view, np.zeros((600, 338), np.float32))
     assert (small.width, small.height) == (338, 600)
     assert small.fx == pytest.approx(view.fx * 338 / 675)
     assert small.fy == pytest.approx(view.fy / 2)

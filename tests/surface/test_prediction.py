@@ -1,0 +1,81 @@
+"""Which surface predicts photos that were left out, on a ball whose photos are computed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.surface.prediction import FOLDS, gain
+from tests.conftest import sphere
+
+
+def photo(view, texture):
+    """Picture (h, w) of the sphere of radius 0.5 at the origin, 0 beside it, and its mask."""
+    origin, direction = view.rays(view.pixel_centers())
+    direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    along = (origin * direction).sum(-1)
+    inside = along**2 - (origin**2).sum(-1) + 0.25
+    hit = inside > 0
+    at = origin + (-along - np.sqrt(np.where(hit, inside, 0)))[..., None] * direction
+    return np.where(hit, texture(at), 0).astype(np.float32), hit
+
+
+def striped(at):
+    """A texture of a few pixels' detail."""
+    return 0.5 + 0.4 * np.sin(13 * at[..., 0]) * np.sin(11 * at[..., 1]) * np.sin(9 * at[..., 2])
+
+
+def plain(at):
+    """No texture at all."""
+    return np.full(at.shape[:-1], 0.4)
+
+
+@pytest.fixture
+def judged(ring):
+    """judged(simple, rich, texture) -> Gain."""
+    views = ring(11, 72)
+
+    def of(simple, rich, texture):
+        images, masks = zip(*(photo(view, texture) for view in views))
+        return gain(simple, rich, views, list(images), list(masks))
+
+    return of
+
+
+def swollen(mesh, factor):
+    """The mesh about the origin, `factor` times as large."""
+    return replace(mesh, vertices=factor * mesh.vertices)
+
+
+def test_the_surface_where_it_is_predicts_better(judged):
+    """A hull that is too large puts one triangle's pixels on different points."""
+    true = sphere(4)
+    found = judged(swollen(true, 1.15), true, striped)
+    assert found.clear and found.share > 0.5 and found.photos == 11
+    back = judged(true, swollen(true, 1.15), striped)
+    assert not back.clear and back.share < 0
+
+
+def test_plain_photos_ask_for_nothing(judged):
+    true = sphere(3)
+    assert not judged(swollen(true, 1.15), true, plain).clear
+
+
+def test_the_same_surface_gains_nothing(judged):
+    found = judged(sphere(3), sphere(3), striped)
+    assert found.share == 0 and not found.clear
+
+
+def test_fewer_photos_than_folds_are_left_out_one_by_one(ring):
+    views = ring(FOLDS - 2, 48)
+    images, masks = zip(*(photo(view, striped) for view in views))
+    found = gain(swollen(sphere(3), 1.15), sphere(3), views, list(images), list(masks))
+    assert found.photos == FOLDS - 2 and np.isfinite(found.share)
+
+
+def test_large_photos_are_looked_at_smaller(ring, monkeypatch):
+    """The answer is the same from a tenth of the pixels."""
+    views = ring(8, 96)
+    images, masks = zip(*(photo(view, striped) for view in views))
+    monkeypatch.setattr("pipeline.surface.prediction.PIXELS", sum(m.sum() for m in masks) / 10)
+    assert gain(swollen(sphere(3), 1.3), sphere(3), views, list(images), list(masks)).clear
