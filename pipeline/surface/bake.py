@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage, sparse
 
 from pipeline.base.config import Atlas
-from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, unit, vertex_adjacency
+from pipeline.geometry.mesh_io import Mesh, load_mesh, unit, vertex_adjacency
 from pipeline.geometry.normal_maps import face_tangents, frames_of, mirrored_share
 from pipeline.geometry.surface import Surface
 from pipeline.surface.preview import caster
@@ -24,24 +24,15 @@ from pipeline.surface.raster import texel_faces
 DENSE = "dense.ply"  # the mesh stage's surface before decimation, beside its mesh.ply
 MIRRORED = 0.001  # share of the atlas that may be mirrored: slivers
 REACH = 0.02  # of the longest side: what lies farther off is another part of the object
-# steps of the bilateral filter per radian by which the dense surface's normals wobble: 4 on a
-# surface that the photos say much of, 12 on a noisy one
-STEPS_PER_WOBBLE = 60
-FEWEST_STEPS, MOST_STEPS = 2, 16
+# of the bilateral filter: on surfaces whose truth is known, fewer leave noise that is wider than a
+# triangle, more take shape
+FILTER_STEPS = 8
 SPREAD = np.radians(20)  # angle at which a neighbour counts 60 %: noise averages out, edges stay
 FACING = 0.2  # least cosine between both surfaces' normals: the other side of a thin part has -1
 # degrees: a map whose normals are nearer to the mesh's own, but for one texel in twenty, shows
 # nothing; surfaces from photos are wrong by ten times as much
 LEAST_TILT = 0.5
 START = 1e-3  # of the reach: how far behind the surface rays start, to meet what coincides with it
-
-
-def filter_steps(mesh: Mesh) -> int:
-    """How often normals are averaged: more often where they are noisier. On surfaces whose truth is
-    known, too few steps leave noise, too many take shape.
-    """
-    steps = round(STEPS_PER_WOBBLE * normal_wobble(mesh))
-    return int(np.clip(steps, FEWEST_STEPS, MOST_STEPS))
 
 
 def filtered_normals(mesh: Mesh, steps: int) -> np.ndarray:
@@ -189,10 +180,9 @@ def make_normal_map(mesh: Path, atlas: Path, settings: Atlas) -> dict:
     if why:
         return {"normal_map": why}
 
-    # made from photos, its normals are noisy from vertex to vertex
+    # made from photos, its normals are noisy
     dense = load_mesh(mesh / DENSE)
-    steps = filter_steps(dense)
-    dense.normals = filtered_normals(dense, steps)
+    dense.normals = filtered_normals(dense, FILTER_STEPS)
     normals, facts = bake(low, dense, settings.resolution, settings.padding)
     if facts["tilt_95"] < LEAST_TILT:
         why = f"none: decimation moved normals by less than {LEAST_TILT} degrees"
@@ -203,7 +193,6 @@ def make_normal_map(mesh: Path, atlas: Path, settings: Atlas) -> dict:
         "normal_map": f"what decimation took from {len(dense.faces)} triangles",
         "normal_map_found_share": facts["found_share"],
         "normal_map_median_tilt": facts["median_tilt"],
-        "normal_map_filter_steps": steps,
         "normal_map_mib": round(path.stat().st_size / 2**20, 2),
     }
 

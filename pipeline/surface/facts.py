@@ -18,8 +18,9 @@ class SurfaceFacts:
 
     normal_error: median angle in radians between the surface's vertex normals and the object's. The
     mesh stage estimates it by how much neighbouring normals wobble
-    (`pipeline.geometry.mesh_io.normal_wobble`); 0 for a mesh that the user gave, whose wobble is
-    meant. The sampler blurs reflections by it (`pipeline.posterior.split_gibbs`).
+    (`pipeline.geometry.mesh_io.normal_wobble`) and by what does not show so
+    (`pipeline.surface.make.WIDE_ERROR`); 0 for a mesh that the user gave, whose wobble is meant.
+    The sampler blurs reflections by it (`pipeline.posterior.split_gibbs`).
     """
 
     normal_error: float
