@@ -120,7 +120,15 @@ class Mesh(Section):
         "the hull does, else hull",
     )
     grid: int = Field(256, ge=48, le=512, description="cells along the longest side of the volume")
-    faces: int = Field(30000, ge=200, le=500000, description="triangles after decimation")
+    faces: int = Field(30000, ge=200, le=500000, description="triangles after decimation, at most")
+    face_error: float = Field(
+        0.25,
+        ge=0,
+        le=10,
+        description="photo pixels within which fewer triangles than `faces` must leave the surface "
+        "at 95 % of what photos show; 0: as many as `faces`, which is also what a scene gets that "
+        "sets `faces` itself or has choose.enabled false",
+    )
     depth_pixels: int = Field(
         3_000_000,
         ge=50_000,
@@ -470,7 +478,15 @@ def parse_scene(own: dict, path: str | Path) -> Scene:
         raise InputError(f"unknown preset {preset!r}", path, nearest(str(preset), known))
 
     kept = merge(read_yaml(known[preset]), {"choose": settled(own)})
+    if own_triangles(own):
+        kept = merge(kept, {"mesh": {"face_error": 0}})
     return validated(Scene, merge(kept, own), path)
+
+
+def own_triangles(own: dict) -> bool:
+    """Whether a scene's mapping says itself how many triangles it wants, or wants no choices."""
+    section = lambda name: own[name] if isinstance(own.get(name), dict) else {}
+    return "faces" in section("mesh") or section("choose").get("enabled") is False
 
 
 def settled(own: dict) -> dict[str, str]:

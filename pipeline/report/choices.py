@@ -14,6 +14,18 @@ class Choice(NamedTuple):
     why: str
 
 
+def triangles_choice(found: dict) -> list[Choice]:
+    """Of a surface that was made from photos and decimated by what these tell; else nothing."""
+    attempts = found.get("attempts")
+    if not attempts:
+        return []
+    within = [a for a in attempts if a[1] <= found["tolerance"]]
+    faces, apart = (within or attempts)[-1]
+    too_far = "" if within == attempts else f"; with {attempts[-1][0]} it is {attempts[-1][1]:.2f}"
+    why = f"the surface lies within {apart:.2f} pixels of the dense one{too_far if within else ''}"
+    return [Choice("triangles", f"{faces} of {found['most']}", why)]
+
+
 def texture_choice(decision: dict) -> Choice:
     sides, was = decision["chosen"]["refine"], decision["configured"]["refine"]
     texels = decision["evidence"]["texels_for_one_each_pixel"]
@@ -111,7 +123,8 @@ def choices(facts: dict[str, dict]) -> list[Choice]:
     """Every decision that was taken. facts: stage -> its metrics."""
     decisions = facts["choose"]["decisions"]
     taken = {name: decisions[name] for name in DECISIONS if "chosen" in decisions.get(name, {})}
-    out = [DECISIONS[name](decision) for name, decision in taken.items()]
+    out = triangles_choice(facts["mesh"].get("triangles", {}))
+    out += [DECISIONS[name](decision) for name, decision in taken.items()]
     for stage, fact in facts.items():
         if stage.startswith("refine") and fact.get("gloss"):
             out += gloss_choices(stage.split()[1], fact["gloss"])

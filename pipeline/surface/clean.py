@@ -51,36 +51,43 @@ def zero_surface(field: np.ndarray, grid: Grid) -> Mesh | None:
     return Mesh(vertices, faces.astype(np.int64), vertex_normals(vertices, faces))
 
 
-def simplify(mesh: Mesh, faces: int) -> tuple[Mesh, dict]:
-    """Repair, smooth lightly (Taubin), decimate (quadrics) with pymeshlab; facts about the result
-    from open3d.
+class Decimation:
+    """A surface on its way to fewer triangles: repaired, lightly smoothed (Taubin), then decimated
+    (quadrics) as often as it is asked to, by pymeshlab.
     """
-    import pymeshlab
 
-    meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.faces))
-    meshes.meshing_remove_duplicate_vertices()
-    meshes.meshing_remove_null_faces()
-    meshes.apply_coord_taubin_smoothing(stepsmoothnum=6)
-    meshes.meshing_decimation_quadric_edge_collapse(
-        targetfacenum=faces,
-        preservenormal=True,
-        preservetopology=True,
-        optimalplacement=True,
-        qualitythr=0.4,
-    )
-    meshes.meshing_repair_non_manifold_edges()
-    meshes.meshing_repair_non_manifold_vertices()
-    meshes.meshing_close_holes(maxholesize=200)
-    meshes.meshing_remove_unreferenced_vertices()
+    def __init__(self, mesh: Mesh):
+        import pymeshlab
 
-    result = meshes.current_mesh()
-    vertices = result.vertex_matrix()
-    triangles = result.face_matrix().astype(np.int64)
-    if signed_volume(vertices, triangles) < 0:
-        triangles = triangles[:, ::-1]
-    out = Mesh(vertices, triangles, vertex_normals(vertices, triangles))
-    return out, facts(out)
+        self.meshes = pymeshlab.MeshSet()
+        self.meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.faces))
+        self.meshes.meshing_remove_duplicate_vertices()
+        self.meshes.meshing_remove_null_faces()
+        self.meshes.apply_coord_taubin_smoothing(stepsmoothnum=6)
+
+    def to(self, faces: int) -> Mesh:
+        """The surface with about so many triangles, from what the last call left of it."""
+        self.meshes.meshing_decimation_quadric_edge_collapse(
+            targetfacenum=faces,
+            preservenormal=True,
+            preservetopology=True,
+            optimalplacement=True,
+            qualitythr=0.4,
+        )
+        self.meshes.meshing_repair_non_manifold_edges()
+        self.meshes.meshing_repair_non_manifold_vertices()
+        self.meshes.meshing_close_holes(maxholesize=200)
+        self.meshes.meshing_remove_unreferenced_vertices()
+        return self.mesh()
+
+    def mesh(self) -> Mesh:
+        """The surface as it is now, its triangles counter-clockwise from outside."""
+        current = self.meshes.current_mesh()
+        vertices = current.vertex_matrix()
+        triangles = current.face_matrix().astype(np.int64)
+        if signed_volume(vertices, triangles) < 0:
+            triangles = triangles[:, ::-1]
+        return Mesh(vertices, triangles, vertex_normals(vertices, triangles))
 
 
 def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:

@@ -1,5 +1,6 @@
 """Surface of the object; `make_mesh` runs the whole stage: the hull or, where photos ask for it,
-hull and depth maps fused and moved to where photos agree best; then decimated.
+hull and depth maps fused and moved to where photos agree best; then decimated as far as photos
+cannot tell.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from pipeline.geometry.cameras import Rig, load_cameras
 from pipeline.geometry.mesh_io import Mesh, normal_wobble, save_mesh
 from pipeline.masks.facts import MaskFacts
 from pipeline.surface.bake import DENSE
-from pipeline.surface.clean import facts, simplify
+from pipeline.surface.clean import facts
 from pipeline.surface.depth import neighbours
+from pipeline.surface.face_count import as_few_faces
 from pipeline.surface.facts import SurfaceFacts
 from pipeline.surface.fusion import build_surface, silhouettes_of
 from pipeline.surface.given import given_mesh
@@ -74,9 +76,11 @@ def make_mesh(
     else:
         dense, how = reconstructed(rig.training(), poses, masks_folder, settings, threads)
         save_mesh(out / DENSE, dense)
-        mesh, more = simplify(dense, settings.faces)
-        error = float(np.hypot(normal_wobble(mesh), WIDE_ERROR))
-        metrics = how | more | {"normal_error": error}
+        views = rig.training().views
+        richest, mesh, chosen = as_few_faces(dense, settings.faces, views, settings.face_error)
+        # by the richest, whatever was chosen: triangles that are wider wobble more
+        error = float(np.hypot(normal_wobble(richest), WIDE_ERROR))
+        metrics = how | facts(mesh) | {"triangles": chosen, "normal_error": error}
     save_mesh(out / "mesh.ply", mesh)
     SurfaceFacts(metrics["normal_error"]).save(out)
     write_png(out / "preview.png", shaded(mesh))

@@ -9,7 +9,7 @@ from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh,
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import agreement, hull_points
 from pipeline.surface.atlas import judge, make_atlas
-from pipeline.surface.clean import facts, largest_solid, signed_volume, simplify, to_mesh
+from pipeline.surface.clean import Decimation, facts, largest_solid, signed_volume, to_mesh
 from pipeline.surface.depth import Depth
 from pipeline.surface.field import hull_of
 from pipeline.surface.fusion import coarse_hull, fuse, silhouettes_of
@@ -40,7 +40,8 @@ def test_hull_of_a_sphere_is_the_sphere(sphere):
     points, margin = coarse_hull(rig, masks)
     grid = Grid.over(points.min(0) - margin, points.max(0) + margin, 48)
     field = hull_of(grid, rig.views, [masks[v.name] for v in rig.views], 4 * grid.cell, 0.0)
-    mesh, found = simplify(to_mesh(field, grid), 1500)
+    mesh = Decimation(to_mesh(field, grid)).to(1500)
+    found = facts(mesh)
     radius = np.linalg.norm(mesh.vertices, axis=1)
     assert (
         found["watertight"] and found["parts"] == 1 and signed_volume(mesh.vertices, mesh.faces) > 0
