@@ -2,7 +2,8 @@
 
 hull: soft visual hull. fused: where depth maps stand, they make the surface; the hull does
 elsewhere. Both end in marching cubes, always closed. The fused one, which holds more, has to earn
-its place: it is taken where it predicts photos that were left out better (prediction.py).
+its place: it is taken where it predicts photos that were left out better, and fills the masks that
+were given (prediction.py).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class Silhouettes:
     rig: all views; carving: those whose masks may remove volume; masks: name -> (h, w) bool;
     tolerance: share of masks that may be wrong; points (n, 3) fill their common volume to within
     `margin`; ground: height of the plane that the object stands on, None where no plane is known or
-    the user's own masks say where the object ends.
+    the user's own masks say where the object ends; given: all masks are the user's own.
     """
 
     rig: Rig
@@ -47,6 +48,7 @@ class Silhouettes:
     points: np.ndarray
     margin: float
     ground: float | None
+    given: bool
 
     def grid(self, longest: int) -> Grid:
         """A grid around the object with `longest` cells along its longest side."""
@@ -86,7 +88,8 @@ def silhouettes_of(rig: Rig, masks: dict, carve: Container[str], given: bool) ->
         )
     plane = None if given else rig.facts.get("plane")
     ground = None if plane is None else float(plane["offset"])
-    return Silhouettes(rig, carving, masks, 0.04 if given else 0.08, points, margin, ground)
+    tolerance = 0.04 if given else 0.08
+    return Silhouettes(rig, carving, masks, tolerance, points, margin, ground, given)
 
 
 def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
@@ -161,8 +164,9 @@ def build_surface(
         masks = [seen.masks[view.name] for view in seen.rig.views]
         found = gain(hull, surface, seen.rig.views, images, masks)
         facts["gain_over_hull"] = asdict(found)
-        why = f"{why}; {_predicts(found)}"
-        if not found.clear:
+        taken, words = _judged(found, seen.given)
+        why = f"{why}; {words}"
+        if not taken:
             method, surface = "hull", hull
     return surface, grid, {"method": method, "why": why} | facts
 
@@ -182,13 +186,21 @@ def _trusted(settings: MeshSettings, share: float | None) -> tuple[str, str]:
     return ("fused" if trusted else "hull"), why
 
 
-def _predicts(found: Gain) -> str:
-    """What the fused surface's `gain` over the hull says, in plain words."""
+def _judged(found: Gain, given: bool) -> tuple[bool, str]:
+    """Whether the fused surface is taken, by its `gain` over the hull, and why in plain words.
+
+    given: the masks are the user's own, so that it has to fill them. Masks that were made may hold
+    ground, which depth tells from the object.
+    """
     share = f"{100 * abs(found.share):.1f} % ± {100 * found.standard_error:.1f}"
-    if found.clear:
-        return f"the fused surface predicts photos left out better than the hull, by {share}"
-    less = "better" if found.share > 0 else "worse"
-    return (
-        "but the fused surface does not clearly predict photos left out better than the hull "
-        f"({share} {less}), so the hull is taken"
-    )
+    if not found.clear:
+        less = "better" if found.share > 0 else "worse"
+        return False, (
+            "but the fused surface does not clearly predict photos left out better than the hull "
+            f"({share} {less}), so the hull is taken"
+        )
+    words = f"the fused surface predicts photos left out better than the hull, by {share}"
+    if given and not found.fills:
+        empty = f"{100 * found.empty:.0f} % of what the hull fills of the given masks"
+        return False, f"{words}, but leaves {empty} empty, so the hull is taken"
+    return True, words

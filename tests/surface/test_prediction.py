@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.surface.prediction import FOLDS, gain
+from pipeline.surface.fusion import _judged
+from pipeline.surface.prediction import FOLDS, Gain, gain
 from tests.conftest import sphere
 
 
@@ -56,6 +57,16 @@ def test_the_surface_where_it_is_predicts_better(judged):
     assert not back.clear and back.share < 0
 
 
+def test_a_surface_that_is_caved_in_does_not_fill_the_outline(judged):
+    """Flattened to half its height it covers about half of what level views show."""
+    true = sphere(4)
+    assert judged(swollen(true, 1.15), true, striped).empty < 0.03
+    flat = replace(true, vertices=true.vertices * [1, 0.5, 1])
+    found = judged(true, flat, striped)
+    assert 0.2 < found.empty < 0.5 and not found.fills
+    assert judged(flat, true, striped).empty == 0
+
+
 def test_plain_photos_ask_for_nothing(judged):
     true = sphere(3)
     assert not judged(swollen(true, 1.15), true, plain).clear
@@ -79,3 +90,12 @@ def test_large_photos_are_looked_at_smaller(ring, monkeypatch):
     images, masks = zip(*(photo(view, striped) for view in views))
     monkeypatch.setattr("pipeline.surface.prediction.PIXELS", sum(m.sum() for m in masks) / 10)
     assert gain(swollen(sphere(3), 1.3), sphere(3), views, list(images), list(masks)).clear
+
+
+def test_a_fused_surface_has_to_predict_better_and_to_fill_the_masks_that_were_given():
+    caved = Gain(share=0.3, standard_error=0.04, photos=40, empty=0.16)
+    taken, words = _judged(caved, given=True)
+    assert not taken and "16 % of what the hull fills" in words
+    assert _judged(caved, given=False)[0]
+    assert _judged(replace(caved, empty=0.05), given=True)[0]
+    assert not _judged(replace(caved, empty=0.05, share=0.06), given=True)[0]
