@@ -20,6 +20,7 @@ from benchmarks.study import pages as study_pages
 from benchmarks.tables import (
     committed,
     common_error,
+    from_photos,
     hardening,
     means,
     pairs,
@@ -94,6 +95,7 @@ TABLES: dict[str, Callable[[], str]] = {
     **priors.TABLES,
     **hardening.TABLES,
     **means.TABLES,
+    **from_photos.TABLES,
     **study_pages.TABLES,
     **{name: stability_table(make, "stability") for name, make in stability.TABLES.items()},
     "stability_s_limits": stability_table(stability.breaking_points, "stability_s"),
