@@ -37,11 +37,12 @@ def to_mesh(field: np.ndarray, grid: Grid) -> Mesh:
     return mesh
 
 
-def zero_surface(field: np.ndarray, grid: Grid) -> Mesh | None:
+def zero_surface(field: np.ndarray, grid: Grid, blur: float = 0.7) -> Mesh | None:
     """Marching cubes of the zero surface (always closed: the field is padded with outside); None
-    where nothing is inside.
+    where nothing is inside. blur: of the field, in cells; it evens the surface, and takes from what
+    is thin.
     """
-    field = np.pad(largest_solid(ndimage.gaussian_filter(field, 0.7)), 1, constant_values=-1.0)
+    field = np.pad(largest_solid(ndimage.gaussian_filter(field, blur)), 1, constant_values=-1.0)
     if field.max() <= 0:
         return None
     vertices, faces, _, _ = marching_cubes(

@@ -8,106 +8,22 @@ were given (prediction.py).
 
 from __future__ import annotations
 
-from collections.abc import Container
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 import numpy as np
 
 from pipeline.base.config import Mesh as MeshSettings
-from pipeline.base.errors import InputError
-from pipeline.geometry.cameras import Rig, View
 from pipeline.geometry.mesh_io import Mesh
 from pipeline.geometry.voxels import Grid
-from pipeline.masks.agreement import hull_points
 from pipeline.surface.clean import to_mesh, zero_surface
 from pipeline.surface.depth import Depth, depth_maps
-from pipeline.surface.field import hull_of, projections, stacked, stereo_field
+from pipeline.surface.field import projections, stacked, stereo_field
 from pipeline.surface.prediction import Gain, gain
+from pipeline.surface.silhouettes import TRUNCATION, Silhouettes
 
-TRUNCATION = 4.0  # cells
-LOOSE = 0.25  # share of masks that may be wrong where depth maps stand
 LEAST_WEIGHT = 3.0  # agreeing views, summed over depth maps, that make a surface
 LEAST_FREE = 0.02  # depth maps that look through a cell empty it if they are more than this of them
 RANGE_GRID = 96  # cells of the hull that bounds the search of depth
-
-
-@dataclass(frozen=True)
-class Silhouettes:
-    """What the masks say about where the object is.
-
-    rig: all views; carving: those whose masks may remove volume; masks: name -> (h, w) bool;
-    tolerance: share of masks that may be wrong; points (n, 3) fill their common volume to within
-    `margin`; ground: height of the plane that the object stands on, None where no plane is known or
-    the user's own masks say where the object ends; given: all masks are the user's own.
-    """
-
-    rig: Rig
-    carving: list[View]
-    masks: dict[str, np.ndarray]
-    tolerance: float
-    points: np.ndarray
-    margin: float
-    ground: float | None
-    given: bool
-
-    def grid(self, longest: int) -> Grid:
-        """A grid around the object with `longest` cells along its longest side."""
-        low = self.points.min(0) - self.margin
-        high = self.points.max(0) + self.margin
-        if self.ground is not None:
-            low[1] = max(low[1], self.ground - 0.02 * (high[1] - low[1]))
-        return Grid.over(low, high, longest)
-
-    def hull(self, grid: Grid, tolerance: float) -> np.ndarray:
-        """Soft visual hull field."""
-        masks = [self.masks[v.name] for v in self.carving]
-        return hull_of(grid, self.carving, masks, TRUNCATION * grid.cell, tolerance)
-
-    def above_ground(self, grid: Grid, field: np.ndarray) -> np.ndarray:
-        """The field without what lies below the ground, where one is known: nothing of the object
-        does, and a thin slab of ground would stick to it.
-        """
-        if self.ground is None:
-            return field
-        y = grid.low[1] + (np.arange(grid.shape[1]) + 0.5) * grid.cell
-        above = (y - self.ground - 1.5 * grid.cell) / (TRUNCATION * grid.cell)
-        return np.minimum(field, above[None, :, None])
-
-
-def silhouettes_of(rig: Rig, masks: dict, carve: Container[str], given: bool) -> Silhouettes:
-    """What the masks say; carve: names of the views that may take volume away; given: all masks
-    are the user's own. Raises InputError where they have no volume in common or too few agree.
-    """
-    points, margin = coarse_hull(rig, masks)
-    carving = [v for v in rig.views if v.name in carve]
-    if len(carving) < 3:
-        raise InputError(
-            "fewer than 3 masks agree with each other",
-            "masks",
-            "correct the masks in the scene's folder masks/",
-        )
-    plane = None if given else rig.facts.get("plane")
-    ground = None if plane is None else float(plane["offset"])
-    tolerance = 0.04 if given else 0.08
-    return Silhouettes(rig, carving, masks, tolerance, points, margin, ground, given)
-
-
-def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
-    """Points (n, 3) that fill the masks' common volume, and a margin within which it is known.
-
-    InputError naming the worst views when there is no common volume.
-    """
-    points, cell = hull_points(rig, masks, 72, 0.15)
-    if len(points):
-        return points, 2.5 * cell
-
-    area = {n: float(m.mean()) for n, m in masks.items()}
-    worst = sorted(area, key=area.__getitem__)[:3]
-    raise InputError(
-        f"the masks have no volume in common; smallest masks: {', '.join(worst)}",
-        "masks",
-        "look at masks/overlay.jpg and correct those masks in the scene's folder masks/",
-    )
 
 
 def fuse(grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth]) -> np.ndarray:
@@ -137,10 +53,10 @@ def build_surface(
     images: the photos as grey (h, w) in [0, 1], sRGB-encoded, one per view of the rig.
     """
     depths: list[Depth] = []
-    facts: dict = {"depth_share": None}
+    facts: dict = {"depth_share": None, "masks_that_may_be_wrong": seen.tolerance}
     if settings.method != "hull":
         around = seen.grid(RANGE_GRID)
-        rough = to_mesh(seen.hull(around, LOOSE), around)
+        rough = to_mesh(seen.hull(around, seen.loose), around)
         depths, facts["depth_share"] = depth_maps(
             seen.rig.views,
             images,
@@ -157,7 +73,8 @@ def build_surface(
     if method == "hull":
         return to_mesh(strict, grid), grid, {"method": method, "why": why} | facts
 
-    fused = fuse(grid, strict, seen.hull(grid, LOOSE), depths)
+    loose = strict if seen.loose == seen.tolerance else seen.hull(grid, seen.loose)
+    fused = fuse(grid, strict, loose, depths)
     surface = to_mesh(seen.above_ground(grid, fused), grid)
     hull = zero_surface(strict, grid)
     if settings.method == "auto" and hull is not None:

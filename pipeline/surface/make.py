@@ -19,10 +19,11 @@ from pipeline.surface.clean import facts
 from pipeline.surface.depth import neighbours
 from pipeline.surface.face_count import as_few_faces
 from pipeline.surface.facts import SurfaceFacts
-from pipeline.surface.fusion import build_surface, silhouettes_of
+from pipeline.surface.fusion import build_surface
 from pipeline.surface.given import given_mesh
 from pipeline.surface.photometric import Refinement, refine_mesh
 from pipeline.surface.preview import Silhouette, shaded
+from pipeline.surface.silhouettes import silhouettes_of
 
 NEIGHBOURS = 4  # photos that refinement compares each photo with
 # radians: the part of the normals' median error that is wider than a triangle, so that it does not

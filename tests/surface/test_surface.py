@@ -12,9 +12,10 @@ from pipeline.surface.atlas import judge, make_atlas
 from pipeline.surface.clean import Decimation, facts, largest_solid, signed_volume, to_mesh
 from pipeline.surface.depth import Depth
 from pipeline.surface.field import hull_of
-from pipeline.surface.fusion import coarse_hull, fuse, silhouettes_of
+from pipeline.surface.fusion import fuse
 from pipeline.surface.given import given_mesh
 from pipeline.surface.raster import rasterize
+from pipeline.surface.silhouettes import coarse_hull, silhouettes_of
 from tests.seeds import numpy_rng
 
 
@@ -63,6 +64,21 @@ def test_given_masks_say_where_the_object_ends_and_not_a_plane_through_it(sphere
     assert silhouettes_of(rig, masks, set(masks), given=False).ground == 0.1
     assert silhouettes_of(rig, masks, set(masks), given=True).ground is None
     assert silhouettes_of(rig, masks, set(masks), given=True).grid(32).low[1] < -0.5
+
+
+def test_masks_are_believed_as_far_as_they_agree(sphere):
+    """Where all agree the hull is strict; one mask that denies half of the object is outvoted."""
+    rig, masks = sphere
+    strict = silhouettes_of(rig, masks, set(masks), given=True)
+    assert strict.tolerance == strict.loose == 0
+
+    masks["v3"] = masks["v3"] & (np.arange(96) > 50)
+    outvoted = silhouettes_of(rig, masks, set(masks), given=True)
+    assert outvoted.tolerance > 0
+    grid = outvoted.grid(40)
+    volume = lambda seen: (seen.hull(grid, seen.tolerance) > 0).sum()
+    assert volume(outvoted) > 0.95 * volume(strict)
+    assert silhouettes_of(rig, masks, set(masks), given=False).loose > outvoted.tolerance
 
 
 def test_masks_without_common_volume_are_named(sphere):

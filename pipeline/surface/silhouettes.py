@@ -1,0 +1,138 @@
+"""What the masks say about where the object is: their hull, and how far they are to be believed."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.geometry.cameras import Rig, View
+from pipeline.geometry.voxels import Grid
+from pipeline.masks.agreement import hull_points
+from pipeline.surface.clean import zero_surface
+from pipeline.surface.field import hull_of, signed_distance
+from pipeline.surface.pictures import at_size, reduced
+from pipeline.surface.preview import Silhouette
+
+TRUNCATION = 4.0  # cells
+LOOSE = 0.25  # share of masks that were made which may be wrong where depth maps stand
+TOLERANCES = (0.0, 0.04, 0.08, 0.12)  # shares of masks that may be wrong, of which one is chosen
+JUDGED_GRID = 128  # cells of the hulls that are compared for it
+JUDGED_SIDE = 400  # pixels of the longer side of the masks that they are compared with
+
+
+@dataclass(frozen=True)
+class Silhouettes:
+    """What the masks say about where the object is.
+
+    rig: all views; carving: those whose masks may remove volume; masks: name -> (h, w) bool;
+    tolerance: share of masks that may be wrong; points (n, 3) fill their common volume to within
+    `margin`; ground: height of the plane that the object stands on, None where no plane is known or
+    the user's own masks say where the object ends; given: all masks are the user's own.
+    """
+
+    rig: Rig
+    carving: list[View]
+    masks: dict[str, np.ndarray]
+    tolerance: float
+    points: np.ndarray
+    margin: float
+    ground: float | None
+    given: bool
+
+    @property
+    def loose(self) -> float:
+        """Share of masks that may be wrong where depth maps stand: masks that were made may miss
+        what depth knows better, and nothing lies outside of those that were given.
+        """
+        return self.tolerance if self.given else max(LOOSE, self.tolerance)
+
+    def grid(self, longest: int) -> Grid:
+        """A grid around the object with `longest` cells along its longest side."""
+        low = self.points.min(0) - self.margin
+        high = self.points.max(0) + self.margin
+        if self.ground is not None:
+            low[1] = max(low[1], self.ground - 0.02 * (high[1] - low[1]))
+        return Grid.over(low, high, longest)
+
+    def hull(self, grid: Grid, tolerance: float) -> np.ndarray:
+        """Soft visual hull field."""
+        masks = [self.masks[v.name] for v in self.carving]
+        return hull_of(grid, self.carving, masks, TRUNCATION * grid.cell, tolerance)
+
+    def above_ground(self, grid: Grid, field: np.ndarray) -> np.ndarray:
+        """The field without what lies below the ground, where one is known: nothing of the object
+        does, and a thin slab of ground would stick to it.
+        """
+        if self.ground is None:
+            return field
+        y = grid.low[1] + (np.arange(grid.shape[1]) + 0.5) * grid.cell
+        above = (y - self.ground - 1.5 * grid.cell) / (TRUNCATION * grid.cell)
+        return np.minimum(field, above[None, :, None])
+
+
+def silhouettes_of(rig: Rig, masks: dict, carve: Container[str], given: bool) -> Silhouettes:
+    """What the masks say; carve: names of the views that may take volume away; given: all masks
+    are the user's own. Raises InputError where they have no volume in common or too few agree.
+    """
+    points, margin = coarse_hull(rig, masks)
+    carving = [v for v in rig.views if v.name in carve]
+    if len(carving) < 3:
+        raise InputError(
+            "fewer than 3 masks agree with each other",
+            "masks",
+            "correct the masks in the scene's folder masks/",
+        )
+    plane = None if given else rig.facts.get("plane")
+    ground = None if plane is None else float(plane["offset"])
+    seen = Silhouettes(rig, carving, masks, TOLERANCES[0], points, margin, ground, given)
+    apart = [contradiction(seen, tolerance) for tolerance in TOLERANCES]
+    return replace(seen, tolerance=TOLERANCES[int(np.argmin(apart))])
+
+
+def contradiction(seen: Silhouettes, tolerance: float) -> float:
+    """Of the hull with that tolerance: how much of the masks it leaves empty, and how much it fills
+    beside them, as a share of the masks. Within a cell of an outline nothing counts, for there the
+    grid decides.
+
+    A strict hull leaves whatever one wrong mask denies; a tolerant one is too large everywhere.
+    """
+    grid = seen.grid(JUDGED_GRID)
+    hull = zero_surface(seen.above_ground(grid, seen.hull(grid, tolerance)), grid, blur=0)
+    if hull is None:
+        return np.inf
+    covered_in = Silhouette(hull)
+    wrong = total = 0.0
+    for full in seen.carving:
+        mask = _small(seen.masks[full.name])
+        view = at_size(full, mask)
+        cell = grid.cell * view.fx / np.linalg.norm(full.position - seen.rig.center)
+        away = np.abs(signed_distance(mask))
+        wrong += float(((covered_in(view) != mask) & (away > cell)).sum())
+        total += float(mask.sum())
+    return wrong / max(total, 1.0)
+
+
+def _small(mask: np.ndarray) -> np.ndarray:
+    """A mask (h, w) bool with at most JUDGED_SIDE pixels along a side."""
+    return reduced(mask, JUDGED_SIDE / max(mask.shape)) > 0.5
+
+
+def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:
+    """Points (n, 3) that fill the masks' common volume, and a margin within which it is known.
+
+    InputError naming the worst views when there is no common volume.
+    """
+    points, cell = hull_points(rig, masks, 72, 0.15)
+    if len(points):
+        return points, 2.5 * cell
+
+    area = {n: float(m.mean()) for n, m in masks.items()}
+    worst = sorted(area, key=area.__getitem__)[:3]
+    raise InputError(
+        f"the masks have no volume in common; smallest masks: {', '.join(worst)}",
+        "masks",
+        "look at masks/overlay.jpg and correct those masks in the scene's folder masks/",
+    )
