@@ -19,6 +19,14 @@ def data_address(picture: bytes) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(picture).decode()}"
 
 
+HULL = (
+    "the surface is the hull of the masks' outlines: hollows that no outline shows are filled, and "
+    "light and materials are estimated on what fills them. Photographs from more sides and heights "
+    "cut it closer; where the object may be dusted with matt powder, a given mesh made of such "
+    "photographs is better"
+)
+
+
 def warnings(facts: dict[str, dict]) -> list[str]:
     """What went wrong, in plain words: the stages' own warnings, and what their metrics show."""
     out = [f"{stage}: {text}" for stage, fact in facts.items() for text in fact.get("warnings", [])]
@@ -37,11 +45,14 @@ def warnings(facts: dict[str, dict]) -> list[str]:
             'say "at least this bright"'
         )
 
+    if facts["mesh"]["method"] == "hull":
+        out.append(f"mesh: {HULL}")
+
     bare = facts["mesh"].get("mask_share_without_surface", 0)
     if bare > 0.03:
         out.append(
-            f"mesh: {100 * bare:.0f} % of the automatic masks' pixels show no surface of the "
-            "object (mostly ground); the final masks leave them out"
+            f"mesh: {100 * bare:.0f} % of the masks' pixels show no surface of the object (mostly "
+            "ground, where masks were made); the final masks leave out what was not given"
         )
     return out
 

@@ -16,16 +16,13 @@ from pipeline.geometry.mesh_io import Mesh, normal_wobble, save_mesh
 from pipeline.masks.facts import MaskFacts
 from pipeline.surface.bake import DENSE
 from pipeline.surface.clean import facts
-from pipeline.surface.depth import neighbours
 from pipeline.surface.face_count import as_few_faces
 from pipeline.surface.facts import SurfaceFacts
 from pipeline.surface.fusion import build_surface
 from pipeline.surface.given import given_mesh
-from pipeline.surface.photometric import Refinement, refine_mesh
 from pipeline.surface.preview import Silhouette, shaded
 from pipeline.surface.silhouettes import silhouettes_of
 
-NEIGHBOURS = 4  # photos that refinement compares each photo with
 # radians: the part of the normals' median error that is wider than a triangle, so that it does not
 # wobble from vertex to vertex. Wobble | error against the truth: garden .08 | .10, nerf_lego
 # .13 | .16, a rendered avocado .03 | .09; a toy car .06 | .28, for on its gloss depth is wrong
@@ -48,14 +45,6 @@ def reconstructed(
     seen = silhouettes_of(rig, masks, known.carving, known.all_given)
     images = grey_photos(rig, poses)
     dense, grid, how = build_surface(seen, images, settings, threads)
-    if how["method"] == "fused" and settings.refine_steps:
-        near = neighbours(rig.views, rig.center, NEIGHBOURS)
-        steps = (settings.refine_steps,) * 2
-        refinement = Refinement(steps=steps, plate=settings.plate)
-        dense, facts_of_steps = refine_mesh(
-            dense, rig.views, images, near, refinement, threads=threads
-        )
-        how["refinement"] = facts_of_steps
     return dense, how | {"cell": grid.cell, "warnings": warnings_of(rig, masks)}
 
 

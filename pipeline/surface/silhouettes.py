@@ -17,7 +17,6 @@ from pipeline.surface.pictures import at_size, reduced
 from pipeline.surface.preview import Silhouette
 
 TRUNCATION = 4.0  # cells
-LOOSE = 0.25  # share of masks that were made which may be wrong where depth maps stand
 TOLERANCES = (0.0, 0.04, 0.08, 0.12)  # shares of masks that may be wrong, of which one is chosen
 JUDGED_GRID = 128  # cells of the hulls that are compared for it
 JUDGED_SIDE = 400  # pixels of the longer side of the masks that they are compared with
@@ -28,9 +27,10 @@ class Silhouettes:
     """What the masks say about where the object is.
 
     rig: all views; carving: those whose masks may remove volume; masks: name -> (h, w) bool;
-    tolerance: share of masks that may be wrong; points (n, 3) fill their common volume to within
-    `margin`; ground: height of the plane that the object stands on, None where no plane is known or
-    the user's own masks say where the object ends; given: all masks are the user's own.
+    tolerance: share of masks that may be wrong, for a surface made of them alone; points (n, 3)
+    fill their common volume to within `margin`; ground: height of the plane that the object stands
+    on, None where no plane is known or the user's own masks say where the object ends; given: all
+    masks are the user's own.
     """
 
     rig: Rig
@@ -41,13 +41,6 @@ class Silhouettes:
     margin: float
     ground: float | None
     given: bool
-
-    @property
-    def loose(self) -> float:
-        """Share of masks that may be wrong where depth maps stand: masks that were made may miss
-        what depth knows better, and nothing lies outside of those that were given.
-        """
-        return self.tolerance if self.given else max(LOOSE, self.tolerance)
 
     def grid(self, longest: int) -> Grid:
         """A grid around the object with `longest` cells along its longest side."""

@@ -167,6 +167,7 @@ def test_warnings_are_on_the_page(page):
     _, html, _ = page
     assert "1 of 5 photos could not be placed" in html and "blurred &lt;b&gt;" in html
     assert "5 % of the pixels are saturated" in html and "fit: the fit stopped early" in html
+    assert "hollows that no outline shows are filled" in html  # the surface is a hull
 
 
 def test_trust_is_on_the_page_and_in_the_metrics(page, page_of_one):
