@@ -18,6 +18,7 @@ from pipeline.geometry.voxels import Grid
 from pipeline.surface.clean import to_mesh, zero_surface
 from pipeline.surface.depth import Depth, depth_maps, neighbours
 from pipeline.surface.field import projections, stacked, stereo_field
+from pipeline.surface.outlines import taut
 from pipeline.surface.photometric import Refinement, refine_mesh
 from pipeline.surface.prediction import Gain, gain
 from pipeline.surface.silhouettes import TRUNCATION, Silhouettes
@@ -78,7 +79,8 @@ def build_surface(
     grid = seen.grid(settings.grid)
     field = seen.above_ground(grid, seen.hull(grid, seen.tolerance))
     if method == "hull":
-        return to_mesh(field, grid), grid, {"method": method, "why": why} | facts
+        hull = _taut(to_mesh(field, grid), seen, threads)
+        return hull, grid, {"method": method, "why": why} | facts
 
     hull = zero_surface(field, grid)
     filling = seen.above_ground(grid, seen.hull(grid, BESIDE_DEPTH[seen.given]))
@@ -92,8 +94,13 @@ def build_surface(
         taken, words = _judged(found, seen.given)
         why = f"{why}; {words}"
         if not taken:
-            return hull, grid, {"method": "hull", "why": why} | facts
+            return _taut(hull, seen, threads), grid, {"method": "hull", "why": why} | facts
     return surface, grid, {"method": method, "why": why} | facts | refinement
+
+
+def _taut(hull: Mesh, seen: Silhouettes, threads: int) -> Mesh:
+    """The hull drawn taut over the outlines of the masks that it was carved by."""
+    return taut(hull, seen.carving, [seen.masks[view.name] for view in seen.carving], threads)
 
 
 def _refined(

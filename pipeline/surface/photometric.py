@@ -32,7 +32,7 @@ from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import Mesh, unit, vertex_normals
 from pipeline.surface.consistency import WINDOW, Sight, pull, with_slopes
 from pipeline.surface.pictures import at_size, mask_like, reduced
-from pipeline.surface.plate import Plate
+from pipeline.surface.plate import Plate, footprint_of
 from pipeline.surface.zbuffer import Crop, z_buffer
 
 RIM = 2  # pixels beside an outline of the surface that are not looked at: it may lie elsewhere
@@ -98,7 +98,7 @@ def refine_mesh(
             home = x
             for _ in range(steps):
                 g, h, score = _photo_pull(x, faces, sized, pictures, allowed, neighbours, pool)
-                footprint = _footprint(x, sized)
+                footprint = footprint_of(x, sized)
                 x, moved = plate.step(x, home, g, h, footprint)
                 facts = {"scale": scale * shrink, "score": score, "moved_pixels": moved}
                 history.append(facts)
@@ -116,13 +116,6 @@ def affordable(mesh: Mesh, views: list[View], images: list[np.ndarray], pixels: 
     boxes = (Crop.around(at_size(v, i), mesh.vertices, 0) for v, i in zip(views, images))
     total = sum(float(box.width) * box.height for box in boxes)
     return min(1.0, (pixels / total) ** 0.5)
-
-
-def _footprint(x: np.ndarray, views: list[View]) -> float:
-    """Side of a pixel on the surface, in the middle of all views."""
-    center = x.mean(0)
-    depth = [v.project(center[None])[1][0] for v in views]
-    return float(np.median([abs(d) / v.fx for d, v in zip(depth, views)]))
 
 
 def _face_normals(x: np.ndarray, faces: np.ndarray) -> np.ndarray:

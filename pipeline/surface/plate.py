@@ -10,6 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
 
+from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import unit, vertex_adjacency, vertex_normals
 
 LONGEST = 1.0  # footprints that a vertex moves in one step
@@ -26,6 +27,13 @@ def umbrella(count: int, faces: np.ndarray) -> sparse.csr_matrix:
     degree = np.asarray(edges.sum(1)).ravel()
     mean = sparse.diags(1 / np.maximum(degree, 1)) @ edges
     return (mean - sparse.diags((degree > 0).astype(float))).tocsr()
+
+
+def footprint_of(x: np.ndarray, views: list[View]) -> float:
+    """Side of a pixel on the surface, in the middle of all views."""
+    center = x.mean(0)
+    depth = [v.project(center[None])[1][0] for v in views]
+    return float(np.median([abs(d) / v.fx for d, v in zip(depth, views)]))
 
 
 class Plate:
