@@ -81,8 +81,24 @@ def silhouettes_of(rig: Rig, masks: dict, carve: Container[str], given: bool) ->
     plane = None if given else rig.facts.get("plane")
     ground = None if plane is None else float(plane["offset"])
     seen = Silhouettes(rig, carving, masks, TOLERANCES[0], points, margin, ground, given)
-    apart = [contradiction(seen, tolerance) for tolerance in TOLERANCES]
-    return replace(seen, tolerance=TOLERANCES[int(np.argmin(apart))])
+    return replace(seen, tolerance=_believed(seen))
+
+
+def _believed(seen: Silhouettes) -> float:
+    """The first of TOLERANCES after which the contradiction grows: it falls as long as wrong masks
+    are outvoted, and rises as the hull grows too large.
+    """
+    small = {view.name: _small(seen.masks[view.name]) for view in seen.carving}
+    judged = replace(seen, masks=small)
+    best = TOLERANCES[0]
+    least = contradiction(judged, best)
+    for tolerance in TOLERANCES[1:]:
+        found = contradiction(judged, tolerance)
+        if found > least:
+            break
+        if found < least:  # few views are as strict with a small share of them as with none
+            best, least = tolerance, found
+    return best
 
 
 def contradiction(seen: Silhouettes, tolerance: float) -> float:
@@ -99,7 +115,7 @@ def contradiction(seen: Silhouettes, tolerance: float) -> float:
     covered_in = Silhouette(hull)
     wrong = total = 0.0
     for full in seen.carving:
-        mask = _small(seen.masks[full.name])
+        mask = seen.masks[full.name]
         view = at_size(full, mask)
         cell = grid.cell * view.fx / np.linalg.norm(full.position - seen.rig.center)
         away = np.abs(signed_distance(mask))
