@@ -1,9 +1,10 @@
 """Masks and depth maps become one field over a grid, whose zero surface is the object.
 
-hull: soft visual hull. fused: where depth maps stand, they make the surface; the hull does
-elsewhere. Both end in marching cubes, always closed. The fused one then moves to where photos
-agree (photometric.py), and has to earn its place: it is taken where it predicts photos that were
-left out better than the hull, and fills the masks that were given (prediction.py).
+hull: soft visual hull, drawn taut over the masks' outlines (outlines.py). fused: where depth maps
+stand, they make the surface; the hull does elsewhere. Both end in marching cubes, always closed.
+The fused one then moves to where photos agree (photometric.py), and has to earn its place: it is
+taken where it predicts photos that were left out better than the hull, and fills the masks that
+were given (prediction.py).
 """
 
 from __future__ import annotations
@@ -79,8 +80,8 @@ def build_surface(
     grid = seen.grid(settings.grid)
     field = seen.above_ground(grid, seen.hull(grid, seen.tolerance))
     if method == "hull":
-        hull = _taut(to_mesh(field, grid), seen, threads)
-        return hull, grid, {"method": method, "why": why} | facts
+        alone = _taut(to_mesh(field, grid), seen, threads)
+        return alone, grid, {"method": method, "why": why} | facts
 
     hull = zero_surface(field, grid)
     filling = seen.above_ground(grid, seen.hull(grid, BESIDE_DEPTH[seen.given]))
