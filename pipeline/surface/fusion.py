@@ -1,6 +1,6 @@
 """Masks and depth maps become one field over a grid, whose zero surface is the object.
 
-hull: soft visual hull, drawn taut over the masks' outlines (outlines.py). fused: where depth maps
+hull: soft visual hull, drawn taut over the masks' outlines (taut.py). fused: where depth maps
 stand, they make the surface; the hull does elsewhere. Both end in marching cubes, always closed.
 The fused one then moves to where photos agree (photometric.py), and has to earn its place: it is
 taken where it predicts photos that were left out better than the hull, and fills the masks that
@@ -19,10 +19,10 @@ from pipeline.geometry.voxels import Grid
 from pipeline.surface.clean import to_mesh, zero_surface
 from pipeline.surface.depth import Depth, depth_maps, neighbours
 from pipeline.surface.field import projections, stacked, stereo_field
-from pipeline.surface.outlines import taut
 from pipeline.surface.photometric import Refinement, refine_mesh
 from pipeline.surface.prediction import Gain, gain
 from pipeline.surface.silhouettes import TRUNCATION, Silhouettes
+from pipeline.surface.taut import taut
 
 # Shares of masks that may be wrong where depth maps stand, and between them, of masks that were
 # given and made. A hull by itself is as strict as masks agree; but beside depth maps a strict one
@@ -83,7 +83,8 @@ def build_surface(
         alone = _taut(to_mesh(field, grid), seen, threads)
         return alone, grid, {"method": method, "why": why} | facts
 
-    hull = zero_surface(field, grid)
+    rough_hull = zero_surface(field, grid)
+    hull = None if rough_hull is None else _taut(rough_hull, seen, threads)
     filling = seen.above_ground(grid, seen.hull(grid, BESIDE_DEPTH[seen.given]))
     fused = fuse(grid, filling, seen.hull(grid, LOOSE), depths)
     surface = to_mesh(seen.above_ground(grid, fused), grid)
@@ -95,7 +96,7 @@ def build_surface(
         taken, words = _judged(found, seen.given)
         why = f"{why}; {words}"
         if not taken:
-            return _taut(hull, seen, threads), grid, {"method": "hull", "why": why} | facts
+            return hull, grid, {"method": "hull", "why": why} | facts
     return surface, grid, {"method": method, "why": why} | facts | refinement
 
 
@@ -104,15 +105,27 @@ def _taut(hull: Mesh, seen: Silhouettes, threads: int) -> Mesh:
     return taut(hull, seen.carving, [seen.masks[view.name] for view in seen.carving], threads)
 
 
+def _outlines(seen: Silhouettes) -> list[np.ndarray | None]:
+    """The masks whose edges pull at a fused surface, None for views that have no say: of masks that
+    were made none, for they may hold ground, which depth tells from the object.
+    """
+    believed = {view.name for view in seen.carving} if seen.given else set()
+    return [seen.masks[v.name] if v.name in believed else None for v in seen.rig.views]
+
+
 def _refined(
     surface: Mesh, seen: Silhouettes, images: list[np.ndarray], settings: MeshSettings, threads: int
 ) -> tuple[Mesh, dict]:
-    """The surface moved to where photos agree best, and `refinement`, the facts of it, if any."""
+    """The surface moved to where photos agree best and given masks end, and `refinement`, the
+    facts of it, if any.
+    """
     if not settings.refine_steps:
         return surface, {}
     near = neighbours(seen.rig.views, seen.rig.center, NEIGHBOURS)
     refinement = Refinement(steps=(settings.refine_steps,) * 2, plate=settings.plate)
-    moved, facts = refine_mesh(surface, seen.rig.views, images, near, refinement, threads=threads)
+    moved, facts = refine_mesh(
+        surface, seen.rig.views, images, near, refinement, _outlines(seen), threads
+    )
     return moved, {"refinement": facts}
 
 

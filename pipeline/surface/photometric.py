@@ -19,7 +19,7 @@ vertex.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -31,7 +31,8 @@ from pipeline.base.progress import Bar
 from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import Mesh, unit, vertex_normals
 from pipeline.surface.consistency import WINDOW, Sight, pull, with_slopes
-from pipeline.surface.pictures import at_size, mask_like, reduced
+from pipeline.surface.outlines import edge_of, outline_pull
+from pipeline.surface.pictures import affordable, at_size, reduced
 from pipeline.surface.plate import Plate, footprint_of
 from pipeline.surface.zbuffer import Crop, z_buffer
 
@@ -63,7 +64,7 @@ def refine_mesh(
     images: list[np.ndarray],
     neighbours: list[list[int]],
     settings: Refinement = Refinement(),
-    masks: list[np.ndarray] | None = None,
+    masks: Sequence[np.ndarray | None] | None = None,
     threads: int = 2,
     watch: Callable[[np.ndarray, dict], None] | None = None,
 ) -> tuple[Mesh, dict]:
@@ -71,8 +72,9 @@ def refine_mesh(
 
     mesh: triangles about as large as the pixels' footprints, or smaller. images: one (h, w) float
     per view, grey in display units (sRGB-encoded, 0 to 1), any scale of the view's whole picture.
-    neighbours: for each view those it is compared with. masks: (h, w) bool per view, the pixels
-    that may be looked at, of its whole picture at any scale; without them all that see the mesh.
+    neighbours: for each view those it is compared with. masks: (h, w) bool per view, of its whole
+    picture at any scale, whose edges pull at the surface's outlines (`pipeline.surface.outlines`),
+    None for a view whose mask is not to be believed; without them only the photos pull.
     watch: called after each step with the vertices (n, 3) and the step's facts, for measurements.
     Faces and their order are kept.
 
@@ -94,10 +96,11 @@ def refine_mesh(
         for scale, steps in zip(settings.scales, settings.steps):
             pictures = [reduced(image, scale * shrink) for image in images]
             sized = [at_size(v, p) for v, p in zip(views, pictures)]
-            allowed = None if masks is None else [mask_like(m, p) for m, p in zip(masks, pictures)]
+            edges = [edge_of(m, p.shape) for m, p in zip(masks or [None] * len(views), pictures)]
             home = x
             for _ in range(steps):
-                g, h, score = _photo_pull(x, faces, sized, pictures, allowed, neighbours, pool)
+                g, h, score = _photo_pull(x, faces, sized, pictures, neighbours, pool)
+                g, h = np.array([g, h]) + outline_pull(x, faces, sized, edges, pool)
                 footprint = footprint_of(x, sized)
                 x, moved = plate.step(x, home, g, h, footprint)
                 facts = {"scale": scale * shrink, "score": score, "moved_pixels": moved}
@@ -107,15 +110,6 @@ def refine_mesh(
                     watch(x, facts)
     refined = Mesh(x, mesh.faces, vertex_normals(x, mesh.faces), mesh.uv)
     return refined, {"steps": history, "seconds": round(time.monotonic() - begin, 2)}
-
-
-def affordable(mesh: Mesh, views: list[View], images: list[np.ndarray], pixels: float) -> float:
-    """Factor by which the images must be reduced for the boxes around the mesh to hold no more than
-    `pixels` in all; at most 1.
-    """
-    boxes = (Crop.around(at_size(v, i), mesh.vertices, 0) for v, i in zip(views, images))
-    total = sum(float(box.width) * box.height for box in boxes)
-    return min(1.0, (pixels / total) ** 0.5)
 
 
 def _face_normals(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -129,7 +123,6 @@ def _photo_pull(
     faces: np.ndarray,
     views: list[View],
     pictures: list[np.ndarray],
-    masks: list[np.ndarray] | None,
     neighbours: list[list[int]],
     pool: ThreadPoolExecutor,
 ) -> tuple[np.ndarray, np.ndarray, float]:
@@ -141,8 +134,6 @@ def _photo_pull(
         crop = Crop.around(views[k], x, WINDOW)
         depth, seen = z_buffer(crop, x, faces)
         front = _front(depth, seen, flat, _rays(crop), 1 / views[k].fx)
-        if masks is not None:
-            front &= crop.of(masks[k])
         photo = with_slopes(crop.of(pictures[k]))
         return Sight(crop, photo, depth, front, 1 / views[k].fx), seen
 

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.cameras import View
+from pipeline.geometry.mesh_io import Mesh
+from pipeline.surface.zbuffer import Crop
 
 
 def at_size(view: View, image: np.ndarray) -> View:
@@ -32,3 +34,12 @@ def mask_like(mask: np.ndarray, picture: np.ndarray) -> np.ndarray:
     """The mask (bool) at the picture's size; a pixel is in it where all that it stands for is."""
     h, w = picture.shape
     return cv2.resize(mask.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA) > 0.99
+
+
+def affordable(mesh: Mesh, views: list[View], images: list[np.ndarray], pixels: float) -> float:
+    """Factor by which the images must be reduced for the boxes around the mesh to hold no more than
+    `pixels` in all; at most 1.
+    """
+    boxes = (Crop.around(at_size(v, i), mesh.vertices, 0) for v, i in zip(views, images))
+    total = sum(float(box.width) * box.height for box in boxes)
+    return min(1.0, (pixels / total) ** 0.5)

@@ -6,8 +6,9 @@ import pytest
 from pipeline.geometry.cameras import Rig
 from pipeline.geometry.mesh_io import unit
 from pipeline.surface.clean import to_mesh
-from pipeline.surface.outlines import rim, taut
+from pipeline.surface.outlines import rim
 from pipeline.surface.silhouettes import silhouettes_of
+from pipeline.surface.taut import taut
 from pipeline.surface.zbuffer import Crop, z_buffer
 from tests.surface.test_surface import silhouettes
 
