@@ -143,7 +143,8 @@ class Mesh(Section):
         4,
         ge=0,
         le=100,
-        description="photometric refinement: steps at half and at full scale; 0: none",
+        description="photometric refinement: steps at half and at full scale, and again at full "
+        "scale with the edges of given masks; 0: none",
     )
     plate: float = Field(
         8.0, gt=0, le=100, description="photometric refinement: stiffness against the photos' noise"

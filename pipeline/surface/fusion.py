@@ -4,7 +4,9 @@ hull: soft visual hull, drawn taut over the masks' outlines (taut.py). fused: wh
 stand, they make the surface; the hull does elsewhere. Both end in marching cubes, always closed.
 The fused one then moves to where photos agree (photometric.py), and has to earn its place: it is
 taken where it predicts photos that were left out better than the hull, and fills the masks that
-were given (prediction.py).
+were given (prediction.py). Only then is it drawn to the edges of given masks too (outlines.py):
+that helps noise as much as a surface. Masks that were made may hold ground, which depth tells from
+the object.
 """
 
 from __future__ import annotations
@@ -61,21 +63,11 @@ def build_surface(
 
     images: the photos as grey (h, w) in [0, 1], sRGB-encoded, one per view of the rig.
     """
-    depths: list[Depth] = []
-    facts: dict = {"depth_share": None, "masks_that_may_be_wrong": seen.tolerance}
-    if settings.method != "hull":
-        around = seen.grid(RANGE_GRID)
-        rough = to_mesh(seen.hull(around, LOOSE), around)
-        depths, facts["depth_share"] = depth_maps(
-            seen.rig.views,
-            images,
-            rough,
-            seen.margin,
-            settings.depth_pixels,
-            threads,
-            seen.ground,
-        )
-    method, why = _trusted(settings, facts["depth_share"])
+    depths, share = (
+        ([], None) if settings.method == "hull" else _depths(seen, images, settings, threads)
+    )
+    method, why = _trusted(settings, share)
+    facts: dict = {"depth_share": share, "masks_that_may_be_wrong": seen.tolerance}
 
     grid = seen.grid(settings.grid)
     field = seen.above_ground(grid, seen.hull(grid, seen.tolerance))
@@ -83,12 +75,14 @@ def build_surface(
         alone = _taut(to_mesh(field, grid), seen, threads)
         return alone, grid, {"method": method, "why": why} | facts
 
-    rough_hull = zero_surface(field, grid)
-    hull = None if rough_hull is None else _taut(rough_hull, seen, threads)
+    hull = zero_surface(field, grid)
     filling = seen.above_ground(grid, seen.hull(grid, BESIDE_DEPTH[seen.given]))
     fused = fuse(grid, filling, seen.hull(grid, LOOSE), depths)
     surface = to_mesh(seen.above_ground(grid, fused), grid)
-    surface, refinement = _refined(surface, seen, images, settings, threads)
+    steps = (settings.refine_steps,) * len(Refinement.scales)
+    surface, facts["refinement"] = _moved(
+        surface, seen, images, Refinement(steps, plate=settings.plate), None, threads
+    )
     if settings.method == "auto" and hull is not None:
         masks = [seen.masks[view.name] for view in seen.rig.views]
         found = gain(hull, surface, seen.rig.views, images, masks)
@@ -96,8 +90,21 @@ def build_surface(
         taken, words = _judged(found, seen.given)
         why = f"{why}; {words}"
         if not taken:
-            return hull, grid, {"method": "hull", "why": why} | facts
-    return surface, grid, {"method": method, "why": why} | facts | refinement
+            return _taut(hull, seen, threads), grid, {"method": "hull", "why": why} | facts
+    if seen.given:
+        fine = Refinement(steps[-1:], Refinement.scales[-1:], settings.plate)
+        surface, facts["outlines"] = _moved(surface, seen, images, fine, _believed(seen), threads)
+    return surface, grid, {"method": method, "why": why} | facts
+
+
+def _depths(
+    seen: Silhouettes, images: list[np.ndarray], settings: MeshSettings, threads: int
+) -> tuple[list[Depth], float]:
+    """Depth maps of all photos, and for what share of the object's pixels they have depth."""
+    around = seen.grid(RANGE_GRID)
+    rough = to_mesh(seen.hull(around, LOOSE), around)
+    views, pixels = seen.rig.views, settings.depth_pixels
+    return depth_maps(views, images, rough, seen.margin, pixels, threads, seen.ground)
 
 
 def _taut(hull: Mesh, seen: Silhouettes, threads: int) -> Mesh:
@@ -105,28 +112,27 @@ def _taut(hull: Mesh, seen: Silhouettes, threads: int) -> Mesh:
     return taut(hull, seen.carving, [seen.masks[view.name] for view in seen.carving], threads)
 
 
-def _outlines(seen: Silhouettes) -> list[np.ndarray | None]:
-    """The masks whose edges pull at a fused surface, None for views that have no say: of masks that
-    were made none, for they may hold ground, which depth tells from the object.
-    """
-    believed = {view.name for view in seen.carving} if seen.given else set()
-    return [seen.masks[v.name] if v.name in believed else None for v in seen.rig.views]
+def _believed(seen: Silhouettes) -> list[np.ndarray | None]:
+    """The user's masks whose edges pull at a fused surface, None for those that disagree."""
+    names = {view.name for view in seen.carving}
+    return [seen.masks[v.name] if v.name in names else None for v in seen.rig.views]
 
 
-def _refined(
-    surface: Mesh, seen: Silhouettes, images: list[np.ndarray], settings: MeshSettings, threads: int
+def _moved(
+    surface: Mesh,
+    seen: Silhouettes,
+    images: list[np.ndarray],
+    settings: Refinement,
+    masks: list[np.ndarray | None] | None,
+    threads: int,
 ) -> tuple[Mesh, dict]:
-    """The surface moved to where photos agree best and given masks end, and `refinement`, the
-    facts of it, if any.
+    """The surface moved to where photos agree best and, where there are masks, to their edges; and
+    the facts of it.
     """
-    if not settings.refine_steps:
+    if not any(settings.steps):
         return surface, {}
     near = neighbours(seen.rig.views, seen.rig.center, NEIGHBOURS)
-    refinement = Refinement(steps=(settings.refine_steps,) * 2, plate=settings.plate)
-    moved, facts = refine_mesh(
-        surface, seen.rig.views, images, near, refinement, _outlines(seen), threads
-    )
-    return moved, {"refinement": facts}
+    return refine_mesh(surface, seen.rig.views, images, near, settings, masks, threads)
 
 
 def _trusted(settings: MeshSettings, share: float | None) -> tuple[str, str]:
