@@ -173,6 +173,7 @@ def test_warnings_are_on_the_page(page):
 def test_trust_is_on_the_page_and_in_the_metrics(page, page_of_one):
     metrics, html, _ = page
     assert 'class="trust"' in html and "The chance that pictures under new light" in html
+    assert "a surface made from photos costs under new light" in html  # the mesh was not given
     found = metrics["trust"]
     assert found["explained"] == 30.5 and 0 < found["chance_of_failure"] < 1
     metrics, html = page_of_one
