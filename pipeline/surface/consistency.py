@@ -3,8 +3,10 @@
 Vu, Labatut, Pons, Keriven, "High Accuracy and Visibility-Consistent Dense Multiview Stereo", PAMI
 2012, section 6.1. Photo j is reprojected into photo i through the surface; both are compared by
 zero-mean normalised cross-correlation in a window around each pixel. Beyond the paper, the second
-derivative of the score in the manner of Gauss and Newton is kept: it says how far to move, and how
-much a pixel knows.
+derivative of the score in the manner of Gauss and Newton is kept, which says how far to move; and
+each window counts by what two noisy signals that correlate so well tell of their shift (Knapp,
+Carter, "The Generalized Correlation Method for Estimation of Time Delay", 1976, eq. 26), so that
+plain windows leave more to the surface's own smoothness than sharp ones.
 
 Letters: i, j the two views; a, b pixels of photo i and of photo j seen through the surface; z depth
 along the optical axis of i; q, p a pixel's ray and point in j's homogeneous pixel coordinates; u, v
@@ -24,7 +26,8 @@ from pipeline.surface.zbuffer import Crop
 WINDOW = 7  # pixels along a side
 SEEN = 0.7  # share of a window that both views must see
 NOISE = 0.01  # standard deviation of a photo's noise, in display units: plainer windows count less
-DISTRUST = (0.2, 0.6)  # scores below the first count nothing, above the second in full
+CHANCE = 0.2  # score that windows of mere noise reach: it counts nothing
+SURE = 0.98  # score above chance from which on a window counts no more
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,8 @@ def with_slopes(grey: np.ndarray) -> np.ndarray:
 
 def pull(i: Sight, j: Sight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """First and second derivative, by the depth of each pixel of i, of the sum of all windows'
-    scores against j; and the score itself, nan where there is none. (h, w) float32 each.
+    scores against j, weighted by `knowledge`; and the score itself, nan where there is none. (h, w)
+    float32 each.
 
     A step of first / second is the one that Gauss and Newton would take for a pixel alone. The
     second derivative is that of half the squared distance of the normalised windows, which equals 1
@@ -144,6 +148,16 @@ def _through(
 
 
 @njit(nogil=True, fastmath=True, cache=True)
+def knowledge(score: float) -> float:
+    """How much a window with this ZNCC counts: z^2 / (1 - z^2) of the score z above chance, the
+    inverse of the least variance that the estimate of a shift between two noisy signals can have
+    (Knapp and Carter 1976).
+    """
+    z = min(max((score - CHANCE) / (1 - CHANCE), 0.0), SURE)
+    return z * z / (1 - z * z)
+
+
+@njit(nogil=True, fastmath=True, cache=True)
 def _scored(moments: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Each window's ZNCC (h, w), nan where too little is seen, and its five terms in the
     derivatives (h, w, 5): those of a, of 1 beside a, of b, of 1 beside b, and of the second one.
@@ -152,7 +166,6 @@ def _scored(moments: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarr
     terms = np.zeros((h, w, 5), np.float32)
     score = np.full((h, w), np.nan, np.float32)
     fewest = SEEN * WINDOW * WINDOW
-    low, high = DISTRUST
     for row in range(h):
         for column in range(w):
             count = sums[row, column, 0]
@@ -166,9 +179,9 @@ def _scored(moments: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarr
             zncc = (sums[row, column, 5] / count - mean_a * mean_b) / both
             score[row, column] = zncc
 
-            trust = min(max((zncc - low) / (high - low), 0.0), 1.0)
-            of_a = trust / (count * both)
-            of_b = trust / (count * variance_b)
+            weight = knowledge(zncc)
+            of_a = weight / (count * both)
+            of_b = weight / (count * variance_b)
             terms[row, column, 0] = of_a
             terms[row, column, 1] = of_a * mean_a
             terms[row, column, 2] = of_b * zncc

@@ -8,7 +8,7 @@ import pytest
 from pipeline.base.runtime import import_open3d
 from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import Mesh, unit, vertex_normals
-from pipeline.surface.consistency import Sight, pull, with_slopes
+from pipeline.surface.consistency import CHANCE, Sight, knowledge, pull, with_slopes
 from pipeline.surface.photometric import (
     ASLANT,
     RIM,
@@ -127,7 +127,9 @@ def test_change_of_exposure_changes_nothing():
 
 
 def test_pull_is_the_slope_of_the_score():
-    """Against the change of all windows' scores when the surface goes deeper everywhere."""
+    """Against the change of all windows' scores, each weighted by what it knows, when the surface
+    goes deeper everywhere.
+    """
     views = cameras()[:2]
     images = photos(views, texture)
 
@@ -146,9 +148,18 @@ def test_pull_is_the_slope_of_the_score():
     first, second, score = pull(sight(0, 0.0), other)
     step = 1e-3
     scores = lambda deeper: pull(sight(0, deeper), other)[2]
-    slope = np.nansum(scores(step) - scores(-step)) / (2 * step)  # windows seen both times
+    weight = np.vectorize(knowledge)(np.nan_to_num(score))
+    slope = np.nansum(weight * (scores(step) - scores(-step))) / (2 * step)  # seen both times
     assert np.isfinite(score).sum() > 500 and (second >= 0).all()
     assert abs(first.sum() - slope) < 0.05 * abs(slope)
+
+
+def test_windows_count_by_what_their_score_tells_of_a_shift():
+    """Nothing up to chance, then more and more steeply, but never without bound."""
+    known = np.array([knowledge(score) for score in np.linspace(CHANCE, 0.95, 40)])
+    assert (np.diff(known, 2) > 0).all()
+    assert knowledge(0.9 * CHANCE) == knowledge(-1.0) == 0
+    assert knowledge(1.0) == pytest.approx(0.98**2 / (1 - 0.98**2))
 
 
 def test_a_pixels_pull_is_shared_by_its_place_in_the_triangle():
