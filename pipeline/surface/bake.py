@@ -12,42 +12,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage, sparse
+from scipy import ndimage
 
 from pipeline.base.config import Atlas
-from pipeline.geometry.mesh_io import Mesh, load_mesh, unit, vertex_adjacency
+from pipeline.geometry.mesh_io import Mesh, load_mesh, unit
 from pipeline.geometry.normal_maps import face_tangents, frames_of, mirrored_share
 from pipeline.geometry.surface import Surface
 from pipeline.surface.preview import caster
 from pipeline.surface.raster import texel_faces
 
-DENSE = "dense.ply"  # the mesh stage's surface before decimation, beside its mesh.ply
+# the mesh stage's surface before decimation, its normals without noise, beside its mesh.ply
+DENSE = "dense.ply"
 MIRRORED = 0.001  # share of the atlas that may be mirrored: slivers
 REACH = 0.02  # of the longest side: what lies farther off is another part of the object
-# of the bilateral filter: on surfaces whose truth is known, fewer leave noise that is wider than a
-# triangle, more take shape
-FILTER_STEPS = 8
-SPREAD = np.radians(20)  # angle at which a neighbour counts 60 %: noise averages out, edges stay
 FACING = 0.2  # least cosine between both surfaces' normals: the other side of a thin part has -1
 # degrees: a map whose normals are nearer to the mesh's own, but for one texel in twenty, shows
 # nothing; surfaces from photos are wrong by ten times as much
 LEAST_TILT = 0.5
 START = 1e-3  # of the reach: how far behind the surface rays start, to meet what coincides with it
-
-
-def filtered_normals(mesh: Mesh, steps: int) -> np.ndarray:
-    """Vertex normals (n, 3) averaged `steps` times over their neighbours, which count by how alike
-    their normals are: bilateral normal filtering (Zheng et al. 2011), of vertices.
-    """
-    one_end, other_end = vertex_adjacency(len(mesh.vertices), mesh.faces).nonzero()
-
-    normal = unit(mesh.normals)
-    for _ in range(steps):
-        cosine = (normal[one_end] * normal[other_end]).sum(1)
-        alike = np.exp(-0.5 * (np.arccos(np.clip(cosine, -1, 1)) / SPREAD) ** 2)
-        links = sparse.csr_matrix((alike, (one_end, other_end)), (len(normal),) * 2)
-        normal = unit(normal + links @ normal)
-    return normal
 
 
 @dataclass
@@ -180,9 +162,7 @@ def make_normal_map(mesh: Path, atlas: Path, settings: Atlas) -> dict:
     if why:
         return {"normal_map": why}
 
-    # made from photos, its normals are noisy
     dense = load_mesh(mesh / DENSE)
-    dense.normals = filtered_normals(dense, FILTER_STEPS)
     normals, facts = bake(low, dense, settings.resolution, settings.padding)
     if facts["tilt_95"] < LEAST_TILT:
         why = f"none: decimation moved normals by less than {LEAST_TILT} degrees"

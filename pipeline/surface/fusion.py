@@ -11,7 +11,7 @@ the object.
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from pipeline.geometry.voxels import Grid
 from pipeline.surface.clean import to_mesh, zero_surface
 from pipeline.surface.depth import Depth, depth_maps, neighbours
 from pipeline.surface.field import projections, stacked, stereo_field
-from pipeline.surface.photometric import Refinement, refine_mesh
+from pipeline.surface.normal_filter import LEAST, filtered_normals, steps_of
+from pipeline.surface.photometric import Refined, Refinement, refine_mesh
 from pipeline.surface.prediction import Gain, gain
 from pipeline.surface.silhouettes import TRUNCATION, Silhouettes
 from pipeline.surface.taut import taut
@@ -59,7 +60,8 @@ def fuse(grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth])
 def build_surface(
     seen: Silhouettes, images: list[np.ndarray], settings: MeshSettings, threads: int
 ) -> tuple[Mesh, Grid, dict]:
-    """Surface and grid by the chosen method, and the facts behind the choice.
+    """Surface and grid by the chosen method, and the facts behind the choice. The surface's normals
+    are without noise (normal_filter.py).
 
     images: the photos as grey (h, w) in [0, 1], sRGB-encoded, one per view of the rig.
     """
@@ -80,12 +82,11 @@ def build_surface(
     fused = fuse(grid, filling, seen.hull(grid, LOOSE), depths)
     surface = to_mesh(seen.above_ground(grid, fused), grid)
     steps = (settings.refine_steps,) * len(Refinement.scales)
-    surface, facts["refinement"] = _moved(
-        surface, seen, images, Refinement(steps, plate=settings.plate), None, threads
-    )
+    moved = _moved(surface, seen, images, Refinement(steps, plate=settings.plate), None, threads)
+    facts["refinement"] = moved.facts
     if settings.method == "auto" and hull is not None:
         masks = [seen.masks[view.name] for view in seen.rig.views]
-        found = gain(hull, surface, seen.rig.views, images, masks)
+        found = gain(hull, moved.mesh, seen.rig.views, images, masks)
         facts["gain_over_hull"] = asdict(found)
         taken, words = _judged(found, seen.given)
         why = f"{why}; {words}"
@@ -93,8 +94,13 @@ def build_surface(
             return _taut(hull, seen, threads), grid, {"method": "hull", "why": why} | facts
     if seen.given:
         fine = Refinement(steps[-1:], Refinement.scales[-1:], settings.plate)
-        surface, facts["outlines"] = _moved(surface, seen, images, fine, _believed(seen), threads)
-    return surface, grid, {"method": method, "why": why} | facts
+        moved = _moved(moved.mesh, seen, images, fine, _believed(seen), threads)
+        facts["outlines"] = moved.facts
+    return (
+        _without_noise(moved.mesh, steps_of(moved.known)),
+        grid,
+        {"method": method, "why": why} | facts,
+    )
 
 
 def _depths(
@@ -109,7 +115,13 @@ def _depths(
 
 def _taut(hull: Mesh, seen: Silhouettes, threads: int) -> Mesh:
     """The hull drawn taut over the outlines of the masks that it was carved by."""
-    return taut(hull, seen.carving, [seen.masks[view.name] for view in seen.carving], threads)
+    drawn = taut(hull, seen.carving, [seen.masks[view.name] for view in seen.carving], threads)
+    return _without_noise(drawn, np.full(len(drawn.vertices), LEAST))
+
+
+def _without_noise(mesh: Mesh, steps: np.ndarray) -> Mesh:
+    """The mesh with its normals filtered by so many steps (n,)."""
+    return replace(mesh, normals=filtered_normals(mesh, steps))
 
 
 def _believed(seen: Silhouettes) -> list[np.ndarray | None]:
@@ -125,12 +137,12 @@ def _moved(
     settings: Refinement,
     masks: list[np.ndarray | None] | None,
     threads: int,
-) -> tuple[Mesh, dict]:
-    """The surface moved to where photos agree best and, where there are masks, to their edges; and
-    the facts of it.
+) -> Refined:
+    """The surface moved to where photos agree best and, where there are masks, to their edges; as
+    it is, and taken for well known, where no steps are wanted.
     """
     if not any(settings.steps):
-        return surface, {}
+        return Refined(surface, np.ones(len(surface.vertices)), {})
     near = neighbours(seen.rig.views, seen.rig.center, NEIGHBOURS)
     return refine_mesh(surface, seen.rig.views, images, near, settings, masks, threads)
 

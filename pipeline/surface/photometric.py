@@ -58,6 +58,20 @@ class Refinement:
     pixels: float = 12e6
 
 
+@dataclass(frozen=True)
+class Refined:
+    """A surface after refinement.
+
+    known: (n,), how much photos know of where each vertex lies: second derivative of their weighted
+    agreement by a movement of one pixel's footprint, per square footprint of surface, all pairs of
+    views together. facts: agreement and movement of every step, and seconds.
+    """
+
+    mesh: Mesh
+    known: np.ndarray
+    facts: dict
+
+
 def refine_mesh(
     mesh: Mesh,
     views: list[View],
@@ -67,8 +81,8 @@ def refine_mesh(
     masks: Sequence[np.ndarray | None] | None = None,
     threads: int = 2,
     watch: Callable[[np.ndarray, dict], None] | None = None,
-) -> tuple[Mesh, dict]:
-    """The mesh moved to where the photos agree best, and facts about the way there.
+) -> Refined:
+    """The mesh moved to where the photos agree best.
 
     mesh: triangles about as large as the pixels' footprints, or smaller. images: one (h, w) float
     per view, grey in display units (sRGB-encoded, 0 to 1), any scale of the view's whole picture.
@@ -91,6 +105,7 @@ def refine_mesh(
     faces = np.ascontiguousarray(mesh.faces)
     plate = Plate(len(x), faces, settings.plate, settings.crease)
     shrink = affordable(mesh, views, images, settings.pixels / max(settings.scales) ** 2)
+    known = np.zeros(len(x))
     history = []
     with Bar("refine surface", sum(settings.steps)) as bar, ThreadPoolExecutor(threads) as pool:
         for scale, steps in zip(settings.scales, settings.steps):
@@ -100,16 +115,18 @@ def refine_mesh(
             home = x
             for _ in range(steps):
                 g, h, score = _photo_pull(x, faces, sized, pictures, neighbours, pool)
-                g, h = np.array([g, h]) + outline_pull(x, faces, sized, edges, pool)
                 footprint = footprint_of(x, sized)
+                known = h * footprint**4 / np.maximum(plate.area(x), 1e-12 * footprint**2)
+                g, h = np.array([g, h]) + outline_pull(x, faces, sized, edges, pool)
                 x, moved = plate.step(x, home, g, h, footprint)
-                facts = {"scale": scale * shrink, "score": score, "moved_pixels": moved}
-                history.append(facts)
+                done = {"scale": scale * shrink, "score": score, "moved_pixels": moved}
+                history.append(done)
                 bar.step(f"agreement {score:.3f}")
                 if watch is not None:
-                    watch(x, facts)
+                    watch(x, done)
     refined = Mesh(x, mesh.faces, vertex_normals(x, mesh.faces), mesh.uv)
-    return refined, {"steps": history, "seconds": round(time.monotonic() - begin, 2)}
+    facts = {"steps": history, "seconds": round(time.monotonic() - begin, 2)}
+    return Refined(refined, known, facts)
 
 
 def _face_normals(x: np.ndarray, faces: np.ndarray) -> np.ndarray:

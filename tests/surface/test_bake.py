@@ -16,7 +16,7 @@ from pipeline.geometry.normal_maps import (
     write_normal_map,
 )
 from pipeline.surface.atlas import make_atlas, unwrap
-from pipeline.surface.bake import FILTER_STEPS, bake, filtered_normals, make_normal_map
+from pipeline.surface.bake import bake, make_normal_map
 from pipeline.surface.raster import texel_faces
 from tests.conftest import sphere
 from tests.seeds import numpy_rng
@@ -50,7 +50,7 @@ def test_map_brings_back_the_normals_of_the_dense_surface(bumpy):
     where, own, mapped = looked_up(bumpy)
     truth = bumpy_normals(unit(where))
     assert np.median(degrees_between(own, truth)) > 6
-    assert np.median(degrees_between(mapped, truth)) < 1.5  # the filter takes a little shape
+    assert np.median(degrees_between(mapped, truth)) < 1.5
     assert np.percentile(degrees_between(mapped, truth), 95) < 4
 
 
@@ -75,36 +75,6 @@ def test_the_back_of_a_thin_part_is_not_taken_for_its_front():
     normals, facts = bake(top, Mesh(square - [0, 0, 0.01], faces, -tilted), 16, 0)
     assert facts["found_share"] == 1
     assert np.allclose(normals[8, 8], unit(np.array([[-0.3, 0, 1]])), atol=1e-6)
-
-
-def tilted(mesh, degrees):
-    """A mesh with normals that are off by a normal deviate of so many degrees per axis."""
-    noise = np.radians(degrees) * numpy_rng(0).normal(size=mesh.normals.shape)
-    return Mesh(mesh.vertices, mesh.faces, unit(mesh.normals + noise))
-
-
-def test_filter_takes_noise_and_leaves_edges():
-    """A ball's normals tilted by 6 degrees per axis; and two plates that meet at right angles."""
-    ball = sphere(5)
-    noisy = tilted(ball, 6)
-    before = np.median(degrees_between(noisy.normals, ball.normals))
-    assert (
-        np.median(degrees_between(filtered_normals(noisy, FILTER_STEPS), ball.normals))
-        < 0.4 * before
-    )
-
-    x, y = np.mgrid[0:6, 0:11].reshape(2, -1)
-    plates = np.stack([x, np.minimum(y, 5), np.maximum(y - 5, 0)], 1).astype(float)
-    corner = np.arange(66).reshape(6, 11)[:-1, :-1].ravel()
-    faces = np.concatenate(
-        [
-            np.stack([corner, corner + 11, corner + 12], 1),
-            np.stack([corner, corner + 12, corner + 1], 1),
-        ]
-    )
-    flat = np.where(y[:, None] <= 5, [0, 0, 1.0], [0, -1.0, 0])
-    kept = filtered_normals(Mesh(plates, faces, flat), 16)
-    assert degrees_between(kept, flat).max() < 0.1
 
 
 def test_padding_holds_the_nearest_charts_normal(bumpy):
