@@ -4,8 +4,8 @@ python -m benchmarks.from_photos --scenes FOLDER/* --preset standard --out rows.
 
 Each scene folder, as benchmarks.make_scene writes them, goes through the whole chain twice:
 `given`, as it is, with its true mesh; and `own`, without, so that the surface is made from the
-photos. What the own surface costs under new light is the difference. Cameras and masks are given
-both times.
+photos (one of them: --surfaces own). What the own surface costs under new light is the difference.
+Cameras and masks are given both times.
 What is up to date is not made again, so a run that was cut off goes on.
 
 A row: `scene`; `surface`, own or given; `photos`, the figures of `benchmarks.unlit` (held-out
@@ -85,6 +85,8 @@ def main() -> None:
     )
     parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="scene folders")
     parser.add_argument("--preset", default="standard")
+    parser.add_argument("--surfaces", nargs="+", choices=(OWN, GIVEN), default=(OWN, GIVEN))
+    parser.add_argument("--samples", type=int, default=SAMPLES)
     parser.add_argument("--out", type=Path, required=True, help="JSON file for all rows")
     args = parser.parse_args()
 
@@ -92,11 +94,11 @@ def main() -> None:
     done = {(row["scene"], row["surface"]) for row in rows}
     set_threads(2)
     for folder in (path.resolve() for path in args.scenes):
-        for surface in (OWN, GIVEN):
+        for surface in args.surfaces:
             if (folder.name, surface) in done:
                 continue
             made_from = without_mesh(folder) if surface == OWN else folder
-            run(made_from, args.preset, SAMPLES, [])
+            run(made_from, args.preset, args.samples, [])
             rows.append(row_of(folder, made_from, args.preset))
             about = {"machine": machine(), "preset": args.preset, "rows": rows}
             write_json(args.out, about)

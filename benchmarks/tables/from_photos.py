@@ -12,6 +12,8 @@ from benchmarks.tables.committed import nested, rows_of, source
 from pipeline.render.declared import METRICS
 
 FILE = "from_photos"
+MANY_BEFORE, MANY = "from_photos_many_before", "from_photos_many"
+SPREAD = ("relight_psnr", "relight_psnr_channel")  # raw, and with each channel's level aligned
 SCORES = ("relight_psnr", "light_psnr_log", "albedo_mse")  # a sample, mean over them | their mean
 SURFACE: list[tuple[str, tuple[str, ...], int]] = [
     ("F-score at 1 %", ("geometry", "f1_at_1_percent_of_size"), 3),
@@ -57,4 +59,28 @@ def table() -> str:
     return pipe_table([*head, *units, "chance of failure, by the report"], body) + source(FILE)
 
 
-TABLES = {"from_photos": table}
+def of_many() -> str:
+    """One thing's own surface before and after a change, each with more samples than a run has: how
+    far they spread, beside what the change does.
+    """
+    body = []
+    for file, when in ((MANY_BEFORE, "before"), (MANY, "now")):
+        for row in rows_of(file):
+            shown = [[s[score] for s in row["truth"]["samples"]] for score in SPREAD]
+            mean = row["truth"]["mean"]
+            body.append(
+                [
+                    row["scene"],
+                    when,
+                    number(nested(row, "geometry", "normal_error_median_degrees"), 1),
+                    pair(held_out(row), 2),
+                    *(number(mean[score], 1) for score in SPREAD),
+                    *(", ".join(number(v, 1) for v in values) for values in shown),
+                ]
+            )
+    head = ["thing", "", "normals: median degrees", "held out, dB: unlit \\| lit"]
+    head += ["mean relit, dB", "with levels aligned", "samples relit", "with levels aligned"]
+    return pipe_table(head, body) + source(MANY_BEFORE) + source(MANY)
+
+
+TABLES = {"from_photos": table, "from_photos_many": of_many}

@@ -46,8 +46,8 @@ NO_EVIDENCE = (
 FROM_PHOTOS = (  # figures: docs/results.md, section 14
     "That chance was learned from runs whose surface was given. It does not see what a surface "
     "made from photos costs under new light: 2 to 6 dB on six things whose truth is known, of "
-    "which three fell below 18 dB with chances of 2 to 10 %. Look at the asset under another light "
-    "yourself."
+    "which three fell to 18 dB or below with chances of 1 to 14 %. Look at the asset under another "
+    "light yourself."
 )
 ADVICE = {
     "agreement": (
