@@ -169,7 +169,7 @@ def _judged(found: Gain, given: bool) -> tuple[bool, str]:
     ground, which depth tells from the object.
     """
     share = f"{100 * abs(found.share):.1f} % ± {100 * found.standard_error:.1f}"
-    if not found.clear:
+    if not found.clear(given):
         less = "better" if found.share > 0 else "worse"
         return False, (
             "but the fused surface does not clearly predict photos left out better than the hull "
