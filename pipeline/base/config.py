@@ -137,7 +137,7 @@ class Mesh(Section):
         "Photos are reduced to have no more, and never enlarged",
     )
     min_agreement: float = Field(
-        0.25, ge=0, le=1, description="share of pixels with agreeing depth below which hull alone"
+        0.1, ge=0, le=1, description="share of pixels with agreeing depth below which hull alone"
     )
     refine_steps: int = Field(
         4,
