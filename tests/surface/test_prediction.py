@@ -96,7 +96,8 @@ def test_large_photos_are_looked_at_smaller(ring, monkeypatch):
     views = ring(8, 96)
     images, masks = zip(*(photo(view, striped) for view in views))
     monkeypatch.setattr("pipeline.surface.prediction.PIXELS", sum(m.sum() for m in masks) / 10)
-    assert gain(swollen(sphere(3), 1.3), sphere(3), views, list(images), list(masks)).clear(given=True)
+    found = gain(swollen(sphere(3), 1.3), sphere(3), views, list(images), list(masks))
+    assert found.clear(given=True)
 
 
 def test_a_fused_surface_has_to_predict_better_and_to_fill_the_masks_that_were_given():
