@@ -19,7 +19,7 @@ from pipeline.render.samples import Samples, Spread, mean_of
 from pipeline.report.draws import color_facts, interval_words, relit_facts, samples_words
 from pipeline.report.html import page
 from pipeline.report.pictures import Painter, contact_sheet, normal_map, spread_pictures
-from pipeline.report.trust import FROM_PHOTOS, evidence, in_words, load_model, probability
+from pipeline.report.trust import evidence, in_words, load_model, probability
 
 STAGES = ("capture", "poses", "masks", "mesh", "atlas", "observe", "choose", "fit")
 
@@ -83,9 +83,7 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     scores = [score for score in held_out if score is not None]
     found = evidence(work, rig, explanations, scene, scores)
     model = load_model()
-    trust = in_words(found, model)
-    if found is not None and facts["mesh"]["method"] != "given":
-        trust = [trust[0], FROM_PHOTOS, *trust[1:]]
+    trust = in_words(found, model, facts["mesh"]["method"] == "given")
     brightness = float(np.mean([s["mean_radiance"] for s in samples]))
     relit = relit_facts([s["relit"] for s in samples], brightness)
     certain = color_facts(spread) | relit if spread else {}

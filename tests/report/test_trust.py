@@ -12,6 +12,7 @@ from pipeline.render.renderer import Explanation
 from pipeline.report import trust
 from pipeline.report.trust import (
     ADVICE,
+    FROM_PHOTOS,
     NO_EVIDENCE,
     Evidence,
     agreement,
@@ -75,14 +76,24 @@ def test_chance_rises_as_each_figure_gets_worse():
 
 
 def test_words_name_what_weighs():
-    assert in_words(None, MODEL) == [NO_EVIDENCE]
-    (alone,) = in_words(replace(GOOD, agreement=30, explained=32), MODEL)
+    assert in_words(None, MODEL, given=True) == [NO_EVIDENCE]
+    (alone,) = in_words(replace(GOOD, agreement=30, explained=32), MODEL, given=True)
     assert alone.startswith("Nothing in this run")
     bad = replace(GOOD, explained=9.0)
     assert weighing(bad, MODEL) == ["explained"]
     steep = MODEL | {"weights": [-2.0, -8.0, 1.0, 0.5], "intercept": 26.0}
-    said = in_words(bad, steep)
+    said = in_words(bad, steep, given=True)
     assert said[0].startswith("Do not rely") and said[1:] == [ADVICE["explained"]]
+
+
+def test_no_surface_made_from_photos_is_called_safe():
+    """The model has seen given meshes alone."""
+    first, second = in_words(replace(GOOD, agreement=30, explained=32), MODEL, given=False)
+    assert first.startswith("Look closely") and second == FROM_PHOTOS
+    steep = MODEL | {"weights": [-2.0, -8.0, 1.0, 0.5], "intercept": 26.0}
+    said = in_words(replace(GOOD, explained=9.0), steep, given=False)
+    assert said[0].startswith("Do not rely")
+    assert said[1:] == [FROM_PHOTOS, ADVICE["explained"]]
 
 
 def test_the_shipped_model_fits_the_evidence():
