@@ -261,7 +261,7 @@ def judge(
     else:
         codes = draw(prior, count, steps, 100)
 
-    out = {"prior": name, "samples": count, "held_out": len(held), "unseen": len(unseen)}
+    out = {"prior": Path(name).stem, "samples": count, "held_out": len(held), "unseen": len(unseen)}
     out |= judged(codes.numpy(), prior.log_spread, data.mean, known, held, unseen)
     model = lambda x, sigma, label: prior.denoise(x, float(sigma[0]))
     loss = lambda x: fixed_loss(model, torch.from_numpy(x), row_weights(prior.height), Training())
@@ -270,10 +270,10 @@ def judge(
     out["seconds"] = times(prior, steps)
 
     if folder:
-        write_png(folder / f"{name}_all.png", sheet(lights(prior, codes[:64])))
+        write_png(folder / f"{Path(name).stem}_all.png", sheet(lights(prior, codes[:64])))
         for label in () if isinstance(prior, GaussianPrior) else LABELS:
             maps = lights(prior, draw(prior, 64, steps, 7, label))
-            write_png(folder / f"{name}_{label}.png", sheet(maps))
+            write_png(folder / f"{Path(name).stem}_{label}.png", sheet(maps))
     return out | {"judged_in_seconds": time.monotonic() - start}
 
 

@@ -35,11 +35,12 @@ class Conv(nn.Conv2d):
 
 class Block(nn.Module):
     """Residual block: norm, SiLU, conv, twice, with scale and shift from the noise embedding
-    between.
+    between. In training a share `dropout` of what the second convolution sees is 0.
     """
 
-    def __init__(self, channels_in: int, channels_out: int, embedding: int):
+    def __init__(self, channels_in: int, channels_out: int, embedding: int, dropout: float):
         super().__init__()
+        self.dropout = dropout
         self.norm1 = nn.GroupNorm(8, channels_in)
         self.conv1 = Conv(channels_in, channels_out)
         self.affine = nn.Linear(embedding, 2 * channels_out)
@@ -53,7 +54,8 @@ class Block(nn.Module):
     def forward(self, x: torch.Tensor, embedded: torch.Tensor) -> torch.Tensor:
         inner = self.conv1(F.silu(self.norm1(x)))
         scale, shift = self.affine(embedded)[:, :, None, None].chunk(2, 1)
-        inner = self.conv2(F.silu(self.norm2(inner) * (1 + scale) + shift))
+        inner = F.silu(self.norm2(inner) * (1 + scale) + shift)
+        inner = self.conv2(F.dropout(inner, self.dropout, self.training))
         return self.skip(x) + inner
 
 
@@ -90,6 +92,7 @@ class UNet(nn.Module):
         blocks: Sequence[int] = (1, 2, 2),
         embedding: int = 96,
         sources: int = 1,
+        dropout: float = 0.0,
     ):
         super().__init__()
         self.embedding = embedding
@@ -105,15 +108,19 @@ class UNet(nn.Module):
         skips = []
         for scale, (width, count) in enumerate(zip(channels, blocks)):
             for _ in range(count):
-                self.down.append(Block(now, width, embedding))
+                self.down.append(Block(now, width, embedding, dropout))
                 now = width
                 skips.append((scale, width))
 
         self.middle = nn.ModuleList(
-            [Block(now, now, embedding), Attention(now), Block(now, now, embedding)]
+            [
+                Block(now, now, embedding, dropout),
+                Attention(now),
+                Block(now, now, embedding, dropout),
+            ]
         )
         for _, width in reversed(skips):
-            self.up.append(Block(now + width, width, embedding))
+            self.up.append(Block(now + width, width, embedding, dropout))
             now = width
         self.scales = [scale for scale, _ in skips]
         self.leave = nn.Sequential(nn.GroupNorm(8, now), nn.SiLU(), Conv(now, 3))

@@ -16,7 +16,9 @@ from pipeline.base.progress import progress
 from pipeline.prior.training.augment import draw_view
 from pipeline.prior.training.procedural import generate
 from pipeline.prior.training.sources import find_sources, read_source
+from pipeline.prior.training.strong_views import draw_strong_view
 from pipeline.prior.value_code import scale_of, to_log
+from pipeline.prior.weight_facts import LABELS
 from pipeline.render.envmap import resample_area
 
 ROWS = 128  # of cached maps; models have 64 or fewer: views turn by fractions of their pixels
@@ -130,22 +132,37 @@ class Data:
 
 
 class Batches:
-    """Endless random batches of augmented views: measured maps with probability `real_share`."""
+    """Endless random batches of augmented views: of measured maps with probability `real_share`,
+    and of these with probability `strong_share` strong ones, which count as made.
+    """
 
-    def __init__(self, data: Data, real_share: float, seed: int):
+    def __init__(self, data: Data, real_share: float, seed: int, strong_share: float = 0.0):
         self.data = data
         self.rng = np.random.default_rng(seed)
         self.sets = [np.flatnonzero(~data.made & ~data.held), np.flatnonzero(data.made)]
         self.share = real_share if len(self.sets[1]) else 1.0
+        self.strong_share = strong_share
 
     def draw(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Codes (n, 3, h, w), labels (n,) and whether made (n,)."""
-        data = self.data
-        chosen = [
-            self.rng.choice(self.sets[int(self.rng.random() >= self.share)]) for _ in range(n)
-        ]
-        views = [
-            to_log(scale_free(draw_view(radiance(data.maps[k]), data.height, self.rng)))
-            for k in chosen
-        ]
-        return data.codes(np.stack(views)), data.labels[chosen], data.made[chosen]
+        drawn = [self._view() for _ in range(n)]
+        views, labels, made = (list(column) for column in zip(*drawn))
+        return self.data.codes(np.stack(views)), np.array(labels), np.array(made)
+
+    def _view(self) -> tuple[np.ndarray, int, bool]:
+        """Log radiance (3, h, w), label and whether made, of one view."""
+        data, rng = self.data, self.rng
+        measured = rng.random() < self.share
+        k = rng.choice(self.sets[int(not measured)])
+        label, made = int(data.labels[k]), bool(data.made[k])
+        if measured and rng.random() < self.strong_share:
+            other = rng.choice(self.sets[0])
+            env, both = draw_strong_view(self._map(k), self._map(other), data.height, rng)
+            label = len(LABELS) if both and data.labels[other] != label else label
+            made = True
+        else:
+            env = draw_view(radiance(data.maps[k]), data.height, rng)
+        return to_log(scale_free(env)), label, made
+
+    def _map(self, k: int) -> np.ndarray:
+        return scale_free(radiance(self.data.maps[k]))

@@ -22,6 +22,7 @@ class Network(Section):
     )
     embedding: int = Field(96, ge=8, multiple_of=2)
     sources: int = Field(2, ge=1, le=2, description="2: measured maps are told from made ones")
+    dropout: float = Field(0, ge=0, lt=1, description="share of a block's channels, in training")
 
 
 class Training(Section):
@@ -36,6 +37,9 @@ class Training(Section):
         1300, ge=0, description="maps made by pipeline.prior.training.procedural"
     )
     real_share: float = Field(0.6, gt=0, le=1, description="measured maps' share of every batch")
+    strong_share: float = Field(
+        0, ge=0, le=1, description="of measured maps' views, strong ones (strong_views.py)"
+    )
     batch: int = Field(32, ge=1)
     images: int = Field(
         200000,
@@ -43,6 +47,7 @@ class Training(Section):
         description="length of the learning rate's cosine; training goes on at its end value",
     )
     learning_rate: float = Field(5e-4, gt=0, le=0.1)
+    weight_decay: float = Field(1e-4, ge=0, description="AdamW's, of matrices and kernels")
     ema_images: int = Field(20000, ge=1, description="half-life of the weight average, in images")
     label_dropout: float = Field(
         0.3, ge=0, le=1, description="share of the batch trained without its class"

@@ -75,6 +75,15 @@ def learning_rate(config: Training, images: int) -> float:
     return config.learning_rate * warm_up * (LAST_RATE + (1 - LAST_RATE) * phase)
 
 
+def decayed(model: torch.nn.Module, weight_decay: float) -> list[dict]:
+    """AdamW's groups: matrices and kernels shrink, biases and norms do not."""
+    parameters = list(model.parameters())
+    return [
+        {"params": [p for p in parameters if p.ndim > 1], "weight_decay": weight_decay},
+        {"params": [p for p in parameters if p.ndim < 2], "weight_decay": 0.0},
+    ]
+
+
 class Run:
     """Model, weight average and optimiser of one training run, with their files."""
 
@@ -87,9 +96,9 @@ class Run:
         self.images = 0
 
         self.model = Denoiser(**config.network.model_dump()).to(device)
-        self.average = copy.deepcopy(self.model)
+        self.average = copy.deepcopy(self.model).eval()
         self.optimizer = torch.optim.AdamW(
-            self.model.parameters(), config.learning_rate, betas=(0.9, 0.99), weight_decay=1e-4
+            decayed(self.model, config.weight_decay), config.learning_rate, betas=(0.9, 0.99)
         )
 
         if (out / "state.pt").exists():
@@ -177,7 +186,8 @@ def train(config: Training, data: Data, out: Path, minutes: float, device: str) 
     run = Run(config, facts_of(config, data), out, device)
     if device != "cpu":  # on CPU oneDNN's own layout is the faster one: 69 against 77 ms per map
         run.model.to(memory_format=torch.channels_last)
-    batches = Batches(data, config.real_share, config.seed + run.images)
+    seed = config.seed + run.images
+    batches = Batches(data, config.real_share, seed, config.strong_share)
 
     start = time.monotonic()
     last = start

@@ -15,6 +15,7 @@ from pipeline.prior.training import train as training
 from pipeline.prior.training.data import ROWS, Batches, Data, half, make_cache, radiance, scale_free
 from pipeline.prior.training.settings import Training, load_training
 from pipeline.prior.training.sources import PEAK, expand, find_sources, read_source
+from pipeline.prior.training.strong_views import draw_strong_view
 from pipeline.prior.training.train import Run, fixed_loss, row_weights, train
 from pipeline.prior.weight_facts import LABELS
 from pipeline.prior.weight_files import load_parts, part_paths, save_parts
@@ -148,6 +149,34 @@ def test_unmoved_views_keep_the_energy(monkeypatch):
         assert np.allclose(
             mean_radiance(augment.draw_view(env, 16, rng)), mean_radiance(env), rtol=0.02
         )
+
+
+def test_stretched_latitudes_stay_between_the_poles():
+    """Every direction painted by its height: stretched, heights still fall from pole to pole."""
+    h = 64
+    env = np.repeat(directions(h, 2 * h)[..., 1:], 3, -1).astype(np.float32)
+    heights = augment.moved(env, np.zeros(3), 0.0, (0.5, -0.25))[..., 0].mean(1)
+    assert (np.diff(heights) < 0).all() and np.abs(heights - env[..., 0].mean(1)).max() > 0.05
+    assert np.allclose(heights[[0, -1]], [1, -1], atol=0.02)
+
+
+def test_strong_views_keep_two_uniform_lights_apart():
+    """A view of a dim map and of a bright one shows both, each its own, or the dim one alone."""
+    dim, bright = (np.full((ROWS, 2 * ROWS, 3), value, np.float32) for value in (1.0, 100.0))
+    rng, seen = numpy_rng(3), []
+    for _ in range(24):
+        view, both = draw_strong_view(dim, bright, 16, rng)
+        seen.append(both)
+        assert view.shape == (16, 32, 3) and np.isfinite(view).all()
+        spread = np.log(view.max((0, 1)) / view.min((0, 1)))
+        assert (spread > 1).all() if both else (spread < 1e-3).all()
+    assert 0 < sum(seen) < 24
+
+
+def test_strong_views_count_as_made(cache):
+    data = Data.load(cache, 8)
+    _, labels, made = Batches(data, 1.0, 0, strong_share=0.5).draw(40)
+    assert 5 < made.sum() < 35 and set(labels) == {len(LABELS)}
 
 
 @pytest.mark.parametrize("name", ["outdoor", "night"])
