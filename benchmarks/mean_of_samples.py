@@ -47,7 +47,7 @@ def samples_in(folder: Path) -> Samples:
 
 def with_mean(samples: Samples) -> list[Explanation]:
     """The samples, and last their mean."""
-    mean = mean_of(samples)
+    mean = mean_of(samples, samples.weights)
     assert mean is not None  # there are two at least
     return [*samples, mean]
 

@@ -1,5 +1,5 @@
 """Refine: one sample's materials at full texture size, with the light's shape held (DPI, Eq. 17);
-held-out score.
+how it predicts photos that its base colours are not made from, and photos that were held out.
 """
 
 from pipeline.base.files import report_metrics, stage_folder
@@ -12,6 +12,7 @@ def work(s: Stage) -> None:
     from pipeline.base.progress import Bar
     from pipeline.posterior.choose.chosen import chosen_scene
     from pipeline.posterior.draw_facts import DrawFacts
+    from pipeline.posterior.judge import judge
     from pipeline.posterior.load import load_problem
     from pipeline.posterior.refine import refine, units
     from pipeline.render.metrics import held_out_photos, score_held_out
@@ -39,6 +40,7 @@ def work(s: Stage) -> None:
                 lambda: bar.step("held-out views", SCORE_UNITS),
             )
             refined.save(out)
+            judge(problem, refined, settings).save(out)
         report_metrics(out / "refine.json", {"index": index} | facts | scores | s.costs())
 
 

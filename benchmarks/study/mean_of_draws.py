@@ -25,7 +25,8 @@ def mean_of_draws(method: str, kept: Path, rows: Path) -> tuple[Explanation, dic
         if not path.exists():
             cure = f"make {MEANT} draws of {method} first; a row that is there makes none anew"
             raise InputError("a draw that the mean is made of is missing", path, cure)
-    mean = mean_of(Samples(places))
+    samples = Samples(places)
+    mean = mean_of(samples, samples.weights)
     assert mean is not None  # there are draws enough
     found = [read_json(file) for file in files]
     facts = {key: found[0][key] for key in ("once", "date") if key in found[0]}

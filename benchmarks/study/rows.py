@@ -32,6 +32,7 @@ from pipeline.base.progress import Bar
 from pipeline.base.runtime import rays_made, set_threads
 from pipeline.posterior.choose.chosen import Chosen, chosen_scene
 from pipeline.posterior.choose.decide import Evidence, choose
+from pipeline.posterior.judge import judge
 from pipeline.posterior.load import load_problem
 from pipeline.posterior.problem import Problem
 from pipeline.posterior.refine import refine, units
@@ -40,6 +41,7 @@ from pipeline.prior.load import load_prior
 from pipeline.prior.protocol import Prior
 from pipeline.render.envmap import resample_area, sh_coefficients
 from pipeline.render.renderer import Explanation, Renderer
+from pipeline.render.stacking import LeftOut
 from pipeline.report.score import MAX_DEPTH, Scored, score_explanation
 from pipeline.report.truth import truth_of_work
 
@@ -70,11 +72,11 @@ def light_unknowns(light: np.ndarray) -> np.ndarray:
 
 def drawn(
     method: str, scene: Scene, folders: dict[str, Path], seed: int
-) -> tuple[Explanation, dict]:
-    """One refined draw, and what a row says it took: its `cost`, and this process's `peak_gib`."""
-    final, cost = draw(method, scene, folders, seed)
+) -> tuple[Explanation, LeftOut, dict]:
+    """As `draw`, with what a row says it took: its `cost`, and this process's `peak_gib`."""
+    final, judged, cost = draw(method, scene, folders, seed)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    return final, {"cost": cost, "peak_gib": round(peak, 2)}
+    return final, judged, {"cost": cost, "peak_gib": round(peak, 2)}
 
 
 def loader(scene: Scene, folders: dict[str, Path], prior: Prior) -> Callable[[int], Problem]:
@@ -85,8 +87,8 @@ def loader(scene: Scene, folders: dict[str, Path], prior: Prior) -> Callable[[in
 
 def draw(
     method: str, scene: Scene, folders: dict[str, Path], seed: int
-) -> tuple[Explanation, dict]:
-    """One refined draw, and what it cost."""
+) -> tuple[Explanation, LeftOut, dict]:
+    """One refined draw, how it predicts photos left out, and what it cost."""
     prior = load_prior(scene.sample.prior)
     load = loader(scene, folders, prior)
     start = Explanation.load(folders["fit"])
@@ -99,7 +101,8 @@ def draw(
     full = load(settings.texture)
     with Clock() as refining, Bar(f"refine {seed}", units(settings)) as bar:
         final, _ = refine(full, drawn, settings, seed, bar, sampler.scale_drawn)
-    return final, {"sample": sampling.cost, "refine": refining.cost}
+        judged = judge(full, final, settings)
+    return final, judged, {"sample": sampling.cost, "refine": refining.cost}
 
 
 def settled(scene: Scene, folders: dict[str, Path], own: Path) -> tuple[Scene, dict]:
@@ -164,9 +167,10 @@ def measure(
             assert keep is not None  # where the draws lie
             final, spent = mean_of_draws(METHODS[method].mean_of, keep / name, rows / name)
         else:
-            final, spent = drawn(method, scene, folders, seed)
+            final, judged, spent = drawn(method, scene, folders, seed)
             if keep is not None:
                 final.save(keep / name / method / str(seed))
+                judged.save(keep / name / method / str(seed))
         scored = score_explanation(renderer, final, truth, SPP)
         keep_pictures(draws / name / method / f"{seed}.npz", scored, final)
         row = {

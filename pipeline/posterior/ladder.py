@@ -36,7 +36,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.posterior.base_color import USUAL, ColorSolver, color_map
-from pipeline.posterior.left_out import Fold, gain, squared_error, surely
+from pipeline.posterior.left_out import Fold, gain, residuals, squared_error, surely
 from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.shading import Shading
@@ -171,17 +171,22 @@ class Jury:
         ]
         self.pixels = round(pixels * len(together) / len(parts[0].kept))
 
-    def errors(self, x: Explanation) -> tuple[np.ndarray, Explanation]:
-        """Squared errors (n,) of the judged pixels of all folds, each under base colours from its
-        other photos; and the first fold's explanation, which begins as `x`.
+    def residuals(self, x: Explanation) -> tuple[np.ndarray, Explanation]:
+        """`left_out.residuals` (2, n, 3) of the judged pixels of all folds, each under base colours
+        from its other photos; and the first fold's explanation, which begins as `x`.
         """
         begin, shading = self.shade(self.kept, self.on_map, x, self.pixels)
         solved = [self.colored(begin, shading, fold) for fold in range(len(self.parts))]
-        errors = [
-            squared_error(self.problem, y, fold.judged, self.seed)
+        of_folds = [
+            residuals(self.problem, y, fold.judged, self.seed)
             for fold, y in zip(self.parts, solved)
         ]
-        return np.concatenate(errors), solved[0]
+        return np.concatenate(of_folds, 1), solved[0]
+
+    def errors(self, x: Explanation) -> tuple[np.ndarray, Explanation]:
+        """Squared errors (n,) of these pixels, and the same explanation."""
+        found, solved = self.residuals(x)
+        return squared_error(found), solved
 
     def colored(self, begin: Explanation, shading: Shading, fold: int) -> Explanation:
         """`begin` with the base colour that the kept pixels of a fold show under a shading of all

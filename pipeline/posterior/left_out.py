@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
+from pipeline.base.images import linear_to_srgb
 from pipeline.posterior.problem import Problem
-from pipeline.render.metrics import crossed_error
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation
 
@@ -86,17 +86,24 @@ def split(
     return Fold(kept, judging, block_of(observations)[judging], len(out))
 
 
-def squared_error(
+def residuals(
     problem: Problem, explanation: Explanation, index: np.ndarray, seed: int
 ) -> np.ndarray:
-    """Squared error of sRGB values, mean over the channels and without the paths' noise, of the
-    pixels `index`: (n,). The same seed takes the same rays and paths.
+    """What the pixels `index` of two independent pictures have more than the photos, as sRGB
+    values: (2, n, 3). The same seed takes the same rays and paths.
     """
     observations = problem.observations
     problem.renderer.set(explanation)
     rays = lambda rng: observations.rays(index, rng)
     pictures = [problem.renderer.mean_radiance(rays, PATHS, seed + k) for k in range(2)]
-    return crossed_error(pictures[0], observations.rgb[index], pictures[1]).mean(1)
+    return linear_to_srgb(np.stack(pictures)) - linear_to_srgb(observations.rgb[index])
+
+
+def squared_error(of_pictures: np.ndarray) -> np.ndarray:
+    """Squared error, mean over the channels and without the paths' noise, of every pixel: (n,),
+    from `residuals`. Both pictures' errors are multiplied (render/metrics.py).
+    """
+    return (of_pictures[0] * of_pictures[1]).mean(1)
 
 
 def gain(simple: np.ndarray, rich: np.ndarray, block: np.ndarray) -> tuple[float, float]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 from pipeline.base.images import linear_to_srgb, luminance
 from pipeline.render.draw_metrics import COMMON_ERROR, half_width
 from pipeline.render.renderer import Explanation
+from pipeline.render.stacking import LeftOut, weights
 
 MEAN = "mean"  # what the samples' mean is called among an asset's variants
 FEWEST = 2  # samples that say anything of spread
@@ -46,6 +48,18 @@ class Samples(Sequence):
     def __iter__(self) -> Iterator[Explanation]:
         return map(Explanation.load, self.folders)
 
+    @cached_property
+    def judged(self) -> list[LeftOut]:
+        """What is known of each by photos left out. Raises InputError."""
+        return [LeftOut.load(folder) for folder in self.folders]
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """How much each counts in their mean (N,): stacking.py; one by itself counts in full,
+        judged or not. Raises InputError.
+        """
+        return weights(self.judged) if len(self) >= FEWEST else np.ones(len(self))
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -73,9 +87,10 @@ class Spread:
         return cls(count, *deviation)
 
 
-def mean_of(samples: Sequence[Explanation]) -> Explanation | None:
+def mean_of(samples: Sequence[Explanation], weight: np.ndarray) -> Explanation | None:
     """The posterior mean, as far as the samples tell: means of radiance, linear base colour and
-    roughness, and of metallic weighted by base colour. None for a single sample.
+    roughness, and of metallic weighted by base colour, in which every sample counts `weight` (N,),
+    1 together (`Samples.weights`). None for a single sample.
 
     Of all light and maps it has the least expected squared error. It explains no photo by itself,
     as every sample does, but where samples differ its errors are the smaller ones (docs/method.md).
@@ -85,9 +100,12 @@ def mean_of(samples: Sequence[Explanation]) -> Explanation | None:
     """
     if len(samples) < FEWEST:
         return None
-    light, color, roughness, weight, metal = _sum(map(_averaged, samples))
-    count = np.float32(len(samples))
-    return Explanation(light / count, color / count, roughness / count, metal / weight)
+    counted = (
+        tuple(np.float32(share) * part for part in _averaged(x))
+        for x, share in zip(samples, weight, strict=True)
+    )
+    light, color, roughness, of_metal, metal = _sum(counted)
+    return Explanation(light, color, roughness, metal / of_metal)
 
 
 def _averaged(x: Explanation) -> Parts:

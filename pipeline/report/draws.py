@@ -56,6 +56,19 @@ def samples_words(found: dict, count: int) -> str:
     )
 
 
+def weights_words(weights: np.ndarray, pixels: int) -> str:
+    """How much every sample counts in the mean, in plain words, and why; pixels: of photos left
+    out, that judged them.
+    """
+    if not pixels:
+        return "All samples count alike in their mean: photos are too few to judge them by."
+    *others, last = (f"{k} by {100 * share:.0f} %" for k, share in enumerate(weights))
+    return (
+        f"In their mean sample {', '.join(others)} and {last} counts: the mixture that predicts "
+        "photos best that its base colours were not made from."
+    )
+
+
 def interval_words(found: dict) -> str:
     """How far the truth may be off the samples' mean, in plain words, of `color_facts` and
     `relit_facts`.

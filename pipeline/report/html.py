@@ -98,8 +98,9 @@ def page(
     facts: stage -> its metrics; pictures, samples, mean: encoded pictures of `pictures.Painter`,
     the mean's with its score on held-out photos, None for one sample; view: name of the photo that
     is shown; held: whether no fit has seen it. said: `trust`, sentences on
-    how far the asset may be relied on; `enough`, whether there are samples enough, and `within`,
-    how far base colours may be off, both empty for one sample.
+    how far the asset may be relied on; `enough`, whether there are samples enough, `counts`, how
+    much each counts in the mean, and `within`, how far base colours may be off, all three empty for
+    one sample.
     """
     environment = Environment(
         loader=PackageLoader("pipeline.report", ""), autoescape=True, undefined=StrictUndefined

@@ -16,7 +16,13 @@ from pipeline.render.metrics import held_out_photos, score_held_out
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.render.samples import Samples, Spread, mean_of
-from pipeline.report.draws import color_facts, interval_words, relit_facts, samples_words
+from pipeline.report.draws import (
+    color_facts,
+    interval_words,
+    relit_facts,
+    samples_words,
+    weights_words,
+)
 from pipeline.report.html import page
 from pipeline.report.pictures import Painter, contact_sheet, normal_map, spread_pictures
 from pipeline.report.trust import evidence, in_words, load_model, probability
@@ -65,7 +71,7 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     view = next((v for v in rig.views if held and v.name == held[0]), rig.views[0])
     painter = Painter(work, view, scene)
     samples = [painter.sample(x) for x in explanations]
-    mean = mean_of(explanations)
+    mean = mean_of(explanations, explanations.weights)
     of_mean = None
     if mean is not None:
         of_mean = painter.sample(mean) | {"held_out": mean_held_out(work, mean, painter)}
@@ -89,13 +95,15 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     certain = color_facts(spread) | relit if spread else {}
     enough = samples_words(certain, scene.samples) if certain else ""
     within = interval_words(certain) if certain else ""
-    said = {"trust": trust, "enough": enough, "within": within}
+    weights = explanations.weights
+    counts = weights_words(weights, len(explanations.judged[0].pixel)) if certain else ""
+    said = {"trust": trust, "enough": enough, "within": within, "counts": counts}
     shown = view.name, view.name in held
     html = page(usd, scene, facts, pictures, samples, of_mean, *shown, said)
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
     metrics = {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": scene.samples}
-    metrics |= certain
+    metrics |= certain | {"weights": weights.tolist()}
     if of_mean:
         metrics["mean_held_out_psnr"] = of_mean["held_out"]
     if found is None:

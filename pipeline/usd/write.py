@@ -152,7 +152,7 @@ def variants_from(samples: Samples) -> Iterator[tuple[str, Explanation]]:
     """Name and explanation of every variant, one after another: the mean, where there are samples
     enough, which is what a user sees first, and the samples.
     """
-    mean = mean_of(samples)
+    mean = mean_of(samples, samples.weights)
     if mean is not None:
         yield MEAN, mean
     for k, x in enumerate(samples):
@@ -179,8 +179,10 @@ def build(
         for variant, x in variants_from(samples)
     }
     for variant, asset in assets.items():
-        which = variant if variant == MEAN else int(variant.removeprefix("sample_"))
-        own = facts | {"sample": which}
+        own = facts | {"sample": variant}
+        if variant != MEAN:
+            k = int(variant.removeprefix("sample_"))
+            own |= {"sample": k, "weight_in_mean": round(float(samples.weights[k]), 3)}
         write_flat(inside / f"{variant}.usda", name, mesh, asset.below(scene), own)
     write_variants(folder / f"{scene}.usda", name, mesh, assets, facts)
 
@@ -246,6 +248,7 @@ def export(atlas: Path, samples: list[Path], out: Path, facts: dict, white: floa
     size = sum(f.stat().st_size for f in out.with_suffix("").rglob("*") if f.is_file()) / 2**20
     metrics = {
         "samples": len(samples),
+        "weights": Samples(samples).weights.tolist(),
         "problems": [],
         "usdz": unpacked is None,
         "mib": round(size, 2),

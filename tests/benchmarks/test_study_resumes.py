@@ -17,6 +17,7 @@ from pipeline.base.files import read_json, write_json
 from pipeline.base.images import write_exr
 from pipeline.posterior.choose.chosen import chosen_scene
 from pipeline.render.renderer import Explanation
+from pipeline.render.samples import Samples
 
 pytestmark = pytest.mark.slow
 SIDE = 32
@@ -130,7 +131,8 @@ def test_a_mean_is_made_of_the_draws_that_are_kept(photos, tmp_path, monkeypatch
     assert row["cost"]["refine"]["rays"] == sum(of_draws) > 0
     draws = [Explanation.load(kept / photos.name / "map" / str(seed)) for seed in range(MEANT)]
     picture = np.load(tmp_path / "draws" / photos.name / "map_mean" / "0.npz")["sh"]
-    expected = np.mean([rows.light_unknowns(x.light) for x in draws], 0)
+    weight = Samples([kept / photos.name / "map" / str(seed) for seed in range(MEANT)]).weights
+    expected = np.average([rows.light_unknowns(x.light) for x in draws], 0, weight)
     np.testing.assert_allclose(picture, expected, rtol=1e-4, atol=1e-5)
 
     join(photos, "map_mean", made, tmp_path / "draws", {})

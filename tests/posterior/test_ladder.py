@@ -9,7 +9,7 @@ import pytest
 from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
 from pipeline.posterior.ladder import CHANCE, Jury, bodies, climb, climbed, of_a_body, rungs
-from pipeline.posterior.left_out import folds, gain, squared_error, surely
+from pipeline.posterior.left_out import folds, gain, residuals, squared_error, surely
 from pipeline.posterior.problem import Problem
 from pipeline.posterior.refine import refine, shading_by_color, solve_base_color, units
 from pipeline.posterior.textures import gather
@@ -266,9 +266,11 @@ def test_error_is_that_of_a_score_and_free_of_the_paths_noise(problem, toy):
     """
     truth = toy[1]
     everywhere = np.arange(len(problem.observations))
-    error = squared_error(photographed(problem, truth), truth, everywhere, 3)
+    error = squared_error(residuals(photographed(problem, truth), truth, everywhere, 3))
     darker = replace(truth, light=0.5 * truth.light)
-    assert abs(error.mean()) < 0.02 * squared_error(problem, darker, everywhere, 3).mean()
+    assert (
+        abs(error.mean()) < 0.02 * squared_error(residuals(problem, darker, everywhere, 3)).mean()
+    )
 
 
 def test_refinement_says_what_it_chose(problem, start):

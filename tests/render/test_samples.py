@@ -10,6 +10,7 @@ from pipeline.render.samples import mean_of
 from tests.render.test_renderer import explanation
 
 SHARE = st.floats(0, 1, width=32)
+WEIGHT = st.floats(0.0625, 1, width=32)
 COLOR = st.floats(0.015625, 0.96875, width=32)
 
 
@@ -22,37 +23,41 @@ def sample(color, metallic, roughness=0.5, side=8, gloss_side=4):
 
 
 def test_one_sample_has_no_mean():
-    assert mean_of([explanation()]) is None
+    assert mean_of([explanation()], np.ones(1)) is None
 
 
-@given(st.lists(st.tuples(COLOR, SHARE), min_size=2, max_size=4))
+@given(st.lists(st.tuples(COLOR, SHARE, WEIGHT), min_size=2, max_size=4))
 def test_it_is_as_diffuse_as_the_samples_in_the_mean(parts):
-    """(1 - metallic) base colour, and metallic times base colour, are their means; so are all
-    other parts.
+    """(1 - metallic) base colour, and metallic times base colour, are their weighted means; so are
+    all other parts.
     """
-    mean = mean_of([sample(color, metallic) for color, metallic in parts])
-    color, metallic = np.array(parts).T
+    color, metallic, weight = np.array(parts).T
+    weight = weight / weight.sum()
+    mean = mean_of([sample(color, metallic) for color, metallic, _ in parts], weight)
     close = {"rtol": 1e-3, "atol": 1e-4}
-    np.testing.assert_allclose(mean.base_color, color.mean(), **close)
+    np.testing.assert_allclose(mean.base_color, weight @ color, **close)
     a, m = mean.base_color[0, 0, 0], mean.metallic[0, 0]
-    np.testing.assert_allclose((1 - m) * a, ((1 - metallic) * color).mean(), **close)
-    np.testing.assert_allclose(m * a, (metallic * color).mean(), **close)
+    np.testing.assert_allclose((1 - m) * a, weight @ ((1 - metallic) * color), **close)
+    np.testing.assert_allclose(m * a, weight @ (metallic * color), **close)
 
 
 @given(SHARE, COLOR, COLOR)
 def test_samples_of_one_metallic_have_a_mean_of_it(metallic, one, other):
-    mean = mean_of([sample(one, metallic), sample(other, metallic)])
+    mean = mean_of([sample(one, metallic), sample(other, metallic)], np.array([0.25, 0.75]))
     np.testing.assert_allclose(mean.metallic, metallic, atol=1e-6)
     assert mean.metallic.dtype == mean.base_color.dtype == np.float32
 
 
 def test_black_samples_have_a_mean_too():
-    mean = mean_of([sample(0.0, 0.0), sample(0.0, 1.0)])
+    mean = mean_of([sample(0.0, 0.0), sample(0.0, 1.0)], np.full(2, 0.5))
     np.testing.assert_allclose(mean.metallic, 0.5, atol=1e-6)
 
 
-def test_light_and_roughness_are_plain_means():
+def test_light_and_roughness_are_weighted_means():
     samples = [explanation(seed=k, roughness=0.2 + 0.3 * k) for k in range(3)]
-    mean = mean_of(samples)
-    np.testing.assert_allclose(mean.light, np.mean([x.light for x in samples], 0), rtol=1e-5)
+    weight = np.array([0.5, 0.0, 0.5])
+    mean = mean_of(samples, weight)
+    expected = np.average([x.light for x in samples], 0, weight)
+    np.testing.assert_allclose(mean.light, expected, rtol=1e-5)
     np.testing.assert_allclose(mean.roughness, 0.5, rtol=1e-5)
+    assert mean.light.dtype == np.float32

@@ -22,9 +22,10 @@ from pipeline.geometry.normal_maps import write_normal_map
 from pipeline.render.draw_metrics import COMMON_ERROR, half_width, predictive_reach
 from pipeline.render.renderer import Renderer
 from pipeline.render.samples import LEVEL, Spread
+from pipeline.render.stacking import LeftOut
 from pipeline.report import trust
 from pipeline.report.choices import gloss_choices
-from pipeline.report.draws import color_facts, relit_facts
+from pipeline.report.draws import color_facts, relit_facts, weights_words
 from pipeline.report.make import make_report
 from pipeline.report.pictures import Painter, evening_light, heat, range_words, spread_pictures
 from tests.render.pictures import render_view
@@ -109,6 +110,9 @@ def finished_run(work: Path, ball: Path, views) -> Path:
     samples = [explanation(16, 8, seed=k) for k in range(2)]
     for k, x in enumerate(samples):
         x.save(work / "refine" / str(k))
+        LeftOut(np.arange(2), np.eye(2)[[k, k], :, None] * np.ones(3)).save(
+            work / "refine" / str(k)
+        )
         write_json(
             work / "refine" / str(k) / "refine.json", {"held_out_psnr": 30.0 + k, "seconds": 3.0}
         )
@@ -149,6 +153,15 @@ def test_the_mean_of_samples_comes_first_with_its_own_score(page, page_of_one):
     assert html.index("variant mean of") < html.index("variant sample_0 of")
     metrics, html = page_of_one
     assert "mean_held_out_psnr" not in metrics and "variant mean" not in html
+
+
+def test_the_page_says_how_much_each_sample_counts_in_the_mean(page, page_of_one):
+    """Both of them err alike, each at a place of its own; where no photo judges it says that."""
+    metrics, html, _ = page
+    np.testing.assert_allclose(metrics["weights"], 0.5, atol=1e-3)
+    assert "In their mean sample 0 by 50 % and 1 by 50 % counts" in html
+    assert "In their mean" not in page_of_one[1]
+    assert "too few" in weights_words(np.full(2, 0.5), 0)
 
 
 def test_a_scene_of_which_nothing_was_held_out_says_so(work, tmp_path):

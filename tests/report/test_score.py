@@ -18,6 +18,7 @@ from pipeline.geometry.cameras import Y_FROM_Z_UP
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh
 from pipeline.render.declared import METRICS
 from pipeline.render.renderer import Explanation
+from pipeline.render.stacking import LeftOut
 from pipeline.report.score import score_asset, table
 from pipeline.report.truth import load_truth
 from pipeline.run import cli
@@ -66,6 +67,7 @@ def exported(scene, ball, tmp_path, *explanations):
     for k, x in enumerate(explanations):
         folders.append(tmp_path / f"sample{k}")
         x.save(folders[-1])
+        LeftOut(np.zeros(0, int), np.zeros((2, 0, 3))).save(folders[-1])
     out = tmp_path / "ball.usda"
     export(ball, folders, out, {"preset": "draft"})
     return out

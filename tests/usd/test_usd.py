@@ -9,6 +9,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr
 from pipeline.render.renderer import Explanation
 from pipeline.render.samples import mean_of
+from pipeline.render.stacking import LeftOut
 from pipeline.usd.check import check
 from pipeline.usd.read import read_asset
 from pipeline.usd.write import export
@@ -23,12 +24,27 @@ def varied(seed: int) -> Explanation:
     return replace(explanation(16, 8, seed=seed), roughness=gloss[0], metallic=gloss[1])
 
 
+WEIGHTS = 0.5, 0.3, 0.2  # of samples 0, 1, 2 in their mean
+
+
+def judged(weight):
+    """Errors that make a sample count by `weight` beside others: of independent errors v weights
+    are as 1 / (v + e), with e their mean.
+    """
+    own = np.zeros((2, 3, 3))
+    e = 1.0
+    scale = 2 * e / np.mean([1 / w for w in WEIGHTS])  # so that the mean of v is e
+    own[:, WEIGHTS.index(weight)] = (3 * (scale / weight - e)) ** 0.5  # at one pixel of three
+    return LeftOut(np.arange(3), own)
+
+
 @pytest.fixture
 def exported(tmp_path, ball):
     samples = []
     for k in range(3):
         folder = tmp_path / "refine" / str(k)
         varied(k).save(folder)
+        judged(WEIGHTS[k]).save(folder)
         samples.append(folder)
     out = tmp_path / "exports" / "mein garten é.usda"
     out.parent.mkdir()
@@ -59,6 +75,7 @@ def test_validators_are_silent_and_users_files_untouched(exported):
 def test_the_light_is_in_the_photos_unit(tmp_path, ball):
     """Under work/ 1 stands for the scene's white."""
     varied(0).save(tmp_path / "refine")
+    judged(WEIGHTS[0]).save(tmp_path / "refine")
     out = tmp_path / "exports" / "s.usda"
     out.parent.mkdir()
     export(ball, [tmp_path / "refine"], out, {}, white=16.0)
@@ -163,10 +180,17 @@ def test_package_holds_the_mean(exported):
 
 
 def test_an_asset_opens_with_the_mean_of_its_samples(exported):
-    """Means of radiance and of linear base colour, in the main file and in one of its own."""
-    _, out, folders = exported
+    """Means of radiance and of linear base colour, in the main file and in one of its own, in which
+    samples count by their weights; so say the metrics and each sample's file.
+    """
+    metrics, out, folders = exported
     samples = [Explanation.load(folder) for folder in folders]
-    expected = mean_of(samples)
+    expected = mean_of(samples, np.array(WEIGHTS))
+    np.testing.assert_allclose(metrics["weights"], WEIGHTS, atol=1e-3)
+    for k, weight in enumerate(WEIGHTS):
+        flat = Usd.Stage.Open(str(out.with_suffix("") / f"sample_{k}.usda"))
+        said = flat.GetDefaultPrim().GetCustomDataByKey("heliograph")["weight_in_mean"]
+        assert abs(said - weight) < 2e-3
     for asset in (read_asset(out), read_asset(out.with_suffix("") / "mean.usda")):
         found = asset.explanation
         np.testing.assert_allclose(found.light, expected.light, rtol=1e-5)
@@ -282,6 +306,7 @@ def test_a_map_of_one_value_is_a_number_in_the_material(ball, tmp_path):
             image[::2] += 0.9 / 255
             x = replace(x, roughness=image)
         replace(x, metallic=np.zeros((4, 4), np.float32)).save(tmp_path / str(k))
+        judged(WEIGHTS[0]).save(tmp_path / str(k))
         samples.append(tmp_path / str(k))
     out = tmp_path / "exports" / "a.usda"
     export(ball, samples, out, {"preset": "draft"})
