@@ -22,7 +22,7 @@ def judge(problem: Problem, refined: Explanation, settings: Refine) -> LeftOut:
     small = problem.at_texture(min(COARSE, settings.texture))
     parts = folds(small.observations, np.random.default_rng(SEED))
     if not parts:
-        return LeftOut(np.zeros(0, int), np.zeros((2, 0, 3), np.float32))
+        return LeftOut.by_none()
 
     rng = np.random.default_rng(SEED)
     shade = lambda of, on_map, x, pixels: shading_by_color(of, on_map, x, pixels, rng)

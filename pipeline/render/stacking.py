@@ -34,11 +34,16 @@ UNSEEN = 1.0  # e, over that mean
 @dataclass(frozen=True)
 class LeftOut:
     """Of one sample: number of every observed pixel that judges (n,), and what two pictures have
-    more than the photos there, sRGB (2, n, 3). None, n = 0, where photos are too few.
+    more than the photos there, sRGB (2, n, 3).
     """
 
     pixel: np.ndarray
     residual: np.ndarray
+
+    @classmethod
+    def by_none(cls) -> LeftOut:
+        """Where photos are too few to leave any out: n = 0."""
+        return cls(np.zeros(0, int), np.zeros((2, 0, 3), np.float32))
 
     def save(self, folder: Path) -> None:
         """Into the sample's folder, residuals in single precision."""

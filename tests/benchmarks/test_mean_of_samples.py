@@ -6,6 +6,7 @@ import pytest
 from benchmarks.mean_of_samples import samples_in, with_mean
 from benchmarks.tables.means import SCORES, cell, pairs
 from pipeline.base.errors import InputError
+from pipeline.render.stacking import LeftOut
 from tests.render.test_renderer import explanation
 
 ROWS = [
@@ -22,6 +23,7 @@ ROWS = [
 def test_samples_are_read_in_order_and_their_mean_comes_last(tmp_path):
     for k in (0, 10, 2, 1, 3, 4, 5, 6, 7, 8, 9):
         explanation(16, 8, seed=k).save(tmp_path / str(k))
+        LeftOut.by_none().save(tmp_path / str(k))
     (tmp_path / "0.log").touch()
     *samples, mean = with_mean(samples_in(tmp_path))
     assert len(samples) == 11

@@ -14,6 +14,7 @@ from pipeline.base.files import read_json
 from pipeline.base.images import read_exr, write_exr
 from pipeline.photos.capture import capture
 from pipeline.photos.radiance import Radiance
+from pipeline.render.stacking import LeftOut
 from pipeline.report.truth import load_truth
 from tests.report.test_score import scene, true_explanation  # noqa: F401  (a fixture)
 
@@ -55,7 +56,7 @@ def test_draws_are_scored_in_the_unit_of_their_work_folder(scene, ball, tmp_path
     seconds = {"seconds": 1.0, "cpu_seconds": 1.0, "rays": 1}
     cost = {"sample": seconds, "refine": seconds}
     drawn = replace(x, light=x.light / white)
-    monkeypatch.setattr(rows, "draw", lambda *which: (drawn, cost))
+    monkeypatch.setattr(rows, "draw", lambda *which: (drawn, LeftOut.by_none(), cost))
     made, draws = tmp_path / "rows", tmp_path / "draws"
     rows.measure(METHOD, photos, tmp_path / "work", [0, 1], made, draws)
 

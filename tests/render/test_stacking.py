@@ -20,10 +20,6 @@ def judged(error, noise=None):
     return LeftOut(np.arange(len(error)), error + noise)
 
 
-def unjudged():
-    return LeftOut(np.zeros(0, int), np.zeros((2, 0, 3)))
-
-
 def error_of(found, w):
     """Mean square of the mixture's error where photos look, and where none looks, where samples err
     as much on average and each by itself.
@@ -71,10 +67,10 @@ def test_the_noise_of_paths_does_not_count():
 
 
 def test_without_a_judge_all_count_alike(tmp_path):
-    assert (weights([unjudged()] * 4) == 0.25).all()
+    assert (weights([LeftOut.by_none()] * 4) == 0.25).all()
     for k in range(2):
         explanation(16, 8, seed=seeded(k)).save(tmp_path / str(k))
-        unjudged().save(tmp_path / str(k))
+        LeftOut.by_none().save(tmp_path / str(k))
     assert (Samples([tmp_path / "0", tmp_path / "1"]).weights == 0.5).all()
     assert Samples([tmp_path / "never judged"]).weights == [1]
 

@@ -27,7 +27,7 @@ def test_the_report_holds_no_more_samples_than_it_draws(work, tmp_path, monkeypa
     """However many there are: one, the next while it is read, and one in a renderer's textures."""
     for k in range(COUNT):
         explanation(16, 8, seed=seeded(k)).save(work / "refine" / str(k))
-        LeftOut(np.zeros(0, int), np.zeros((2, 0, 3))).save(work / "refine" / str(k))
+        LeftOut.by_none().save(work / "refine" / str(k))
         write_json(work / "refine" / str(k) / "refine.json", {"held_out_psnr": 30.0})
         write_json(work / "sample" / str(k) / "sample.json", {"seconds": 4.0})
 

@@ -67,7 +67,7 @@ def exported(scene, ball, tmp_path, *explanations):
     for k, x in enumerate(explanations):
         folders.append(tmp_path / f"sample{k}")
         x.save(folders[-1])
-        LeftOut(np.zeros(0, int), np.zeros((2, 0, 3))).save(folders[-1])
+        LeftOut.by_none().save(folders[-1])
     out = tmp_path / "ball.usda"
     export(ball, folders, out, {"preset": "draft"})
     return out
