@@ -285,7 +285,7 @@ class Sample(Section):
         None, description="class the prior is conditioned on; none: unconditional"
     )
     smooth: int = Field(
-        5,
+        8,
         ge=0,
         le=1000,
         description="split_gibbs: turns of decoupled annealing before the splitting",

@@ -50,8 +50,9 @@ from pipeline.render.renderer import Explanation
 # widths of the splitting in code units, where the prior's deviation is 0.5; above FIRST, log
 # radiance is far from linear
 FIRST, LAST = 0.15, 0.02
-# noise level of the first smooth sweep: hides all but the largest shapes
-SMOOTH = 0.7
+# noise level of the first smooth sweep, several times a code's deviation: the light that a start
+# was fitted to is forgotten but for what the photos say of it
+SMOOTH = 2.0
 # sweeps under the Gaussian prior: of the starts, without some photos and then with all (every row
 # counts in full: what they leave over shows the noise's correlation), and then with rows thinned
 # (the last sweeps that move the light's brightness freely, so with the errors it has)
