@@ -12,7 +12,7 @@ from benchmarks.study import agreement_table, yardstick_tables
 from benchmarks.study.front import coverage_choice, relight_choice, speed_against
 from benchmarks.study.losses import losses
 from benchmarks.study.methods import METHODS, YARDSTICKS
-from benchmarks.study.store import suite_folder, suite_rows
+from benchmarks.study.store import ROWS, suite_folder, suite_rows
 from benchmarks.study.tables import (
     by_scene,
     costs,
@@ -24,18 +24,19 @@ from benchmarks.study.tables import (
     scores,
     timed,
 )
+from benchmarks.study.versions import LATER, versions
 from benchmarks.tables import committed
 
 
-def source(suite: str, methods: Collection[str] = METHODS) -> str:
+def source(suite: str, methods: Collection[str] = METHODS, folder: Path = ROWS) -> str:
     """The line below a table: where the rows of these methods come from."""
-    rows = [row for row in suite_rows(suite)["rows"] if row["method"] in methods]
+    rows = [row for row in suite_rows(suite, folder)["rows"] if row["method"] in methods]
     said = lambda key: dict.fromkeys(row[key] for row in rows if row[key])
     # made in pieces, of some scenes each, which the rows say
     whole = lambda command: re.sub(r" --scenes [\w,]+(?= )", "", command)
     commands = ", ".join(f"`{command}`" for command in dict.fromkeys(map(whole, said("command"))))
-    folder = suite_folder(Path("study"), suite)
-    link = f"[{folder}](../benchmarks/results/{folder}), a file for each row"
+    place = suite_folder(Path(folder.name), suite)
+    link = f"[{place}](../benchmarks/results/{place}), a file for each row"
     made = "; ".join([commands, ", ".join(said("machine")), ", ".join(said("commit"))])
     return f"\n<sub>{link}: {made}. {' '.join(said('note'))}</sub>\n"
 
@@ -93,6 +94,9 @@ S: dict[str, Callable[[dict], str]] = {
 TABLES: dict[str, Callable[[], str]] = {
     **{name: of_suite("XS", make) for name, make in XS.items()},
     **{name: of_suite("S", make) for name, make in S.items()},
+    "study_s_versions": lambda: (
+        versions(suite_rows("S"), suite_rows("S", LATER)) + source("S", folder=LATER)
+    ),
     "study_declarations": declarations,
     "study_agreement": lambda: (
         agreement_table.table(committed.rows_of("study_agreement"))

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from benchmarks.make_scene import Options, make_scene
 from benchmarks.suite.lights import INDOOR, make_light
-from benchmarks.suite.objects import OBJECTS, write_object
+from benchmarks.suite.objects import LAST, OBJECTS, write_object
 from pipeline.base.errors import InputError, nearest, run_stage
 from pipeline.base.images import write_exr
 from pipeline.base.locks import alone
@@ -111,19 +111,22 @@ def make_suite(name: str, out: Path, only: list[str] | None = None) -> list[Path
 
     wanted = known if only is None else only
     out.mkdir(parents=True, exist_ok=True)
-    for scene, (thing, light) in known.items():
-        with alone(out / "assets", wait=True):  # two studies may share a folder of scenes
-            if scene in wanted and not (out / scene).exists():
-                make_one(suite, thing, light, out, out / scene)
+    for scene in (scene for scene in known if scene in wanted):
+        with alone(out / f"making_{scene}", wait=True):  # studies may share a folder of scenes
+            if not (out / scene).exists():
+                make_one(suite, *known[scene], out, out / scene)
     return [out / scene for scene in known if scene in wanted]
 
 
 def make_one(suite: Suite, thing: str, light: str, out: Path, folder: Path) -> None:
     """The scene `folder`, and what it is rendered from below `out`."""
     asset = out / "assets" / f"{thing}_{suite.side}"
-    write_object(thing, asset, suite.side)
-    others = [light_file(out, other) for other in relights_of(light)]
-    make_scene(asset, light_file(out, light), others, suite.options, folder)
+    with alone(out / "assets", wait=True):  # scenes share things and lights
+        if not (asset / LAST).exists():  # another process may be reading it
+            write_object(thing, asset, suite.side)
+        others = [light_file(out, other) for other in relights_of(light)]
+        own = light_file(out, light)
+    make_scene(asset, own, others, suite.options, folder)
 
 
 def main() -> None:

@@ -35,6 +35,7 @@ Material = Callable[[np.ndarray, SolidNoise], tuple[np.ndarray, np.ndarray, np.n
 
 # Linear colours; those of metals after their measured reflectance at normal incidence
 # (physicallybased.info, CC0).
+LAST = "metallic.png"  # of an asset folder: what is written last
 GOLD = (0.94, 0.68, 0.27)
 COPPER = (0.93, 0.50, 0.37)
 STEEL = (0.56, 0.55, 0.53)
@@ -278,7 +279,7 @@ def write_thing(thing: Thing, out: Path, side: int, seed: int) -> None:
     color, roughness, metallic = textures(patches, thing.materials, side, seed)
     write_png(out / "base_color.png", np.round(linear_to_srgb(color) * 255))
     write_png(out / "roughness.png", np.round(roughness * 255))
-    write_png(out / "metallic.png", np.round(metallic * 255))
+    write_png(out / LAST, np.round(metallic * 255))
 
 
 def write_object(name: str, out: Path, side: int = 512) -> None:

@@ -11,6 +11,7 @@ from PIL import Image
 from benchmarks.figures import pyplot
 from benchmarks.study import __main__ as study
 from benchmarks.study import pages
+from benchmarks.study import versions as compared
 from benchmarks.study.agreement_table import most, table
 from benchmarks.study.charts import chart, charts
 from benchmarks.study.front import (
@@ -130,7 +131,7 @@ def test_pieces_of_a_study_are_named_as_one(monkeypatch):
         "a --scenes F/s --out o",
     ]
     rows = [{"method": OURS, "command": c, "machine": "m", "commit": "c", "note": ""} for c in said]
-    monkeypatch.setattr(pages, "suite_rows", lambda suite: {"rows": rows})
+    monkeypatch.setattr(pages, "suite_rows", lambda suite, folder: {"rows": rows})
     line = pages.source("S")
     assert line.count(command.format("")) == 1 and "s_a__x_1" not in line
     assert "`a --scenes F/s --out o`" in line
@@ -387,3 +388,24 @@ def test_spread_and_error_of_draws_are_shown_inside_the_mask():
     assert [text for _, text in error] == ["0.5", "0.1"]
     for picture, _ in (spread[1], error[1]):
         assert picture[0, 1].tolist() == [1, 1, 1] != picture[0, 0].tolist()
+
+
+def test_a_later_version_stands_beside_the_study_on_the_scenes_of_both(monkeypatch):
+    """A decibel more on every scene; a scene that only one has, and a method on too few, say
+    nothing.
+    """
+    monkeypatch.setattr(compared, "FEWEST", 2)
+    before = {
+        "rows": rows_of(OURS, 20, 1) + rows_of("gaussian", 18, 1, ("a",)),
+        "together": together(OURS, 0.6),
+    }
+    now = {
+        "rows": rows_of(OURS, 21, 1, ("a", "b", "c")) + rows_of("gaussian", 19, 1, ("a",)),
+        "together": together(OURS, 0.7, ("a", "b", "c")),
+    }
+    lines = compared.versions(before, now).splitlines()
+    assert lines[0] == f"|  | `{OURS}`, 2 scenes |"
+    assert "| relight PSNR, dB | 20.50 \\| 21.50: 1.00 (1.00 to 1.00) |" in lines
+    assert lines[-1] == "| 80 % intervals hold | .60 \\| .70: .10 (.10 to .10) |"
+    now["together"] = []
+    assert compared.versions(before, now).splitlines()[-1] == "| 80 % intervals hold |  |"

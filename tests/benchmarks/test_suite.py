@@ -1,6 +1,7 @@
 """The procedural suite: closed shapes with an atlas; maps and lights follow from their names."""
 
 import ast
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -200,3 +201,26 @@ def test_two_studies_may_fill_one_folder(monkeypatch, tmp_path):
     assert first == second and all(folder.is_dir() for folder in first)
     assert sorted(made) == sorted(folder.name for folder in first)
     assert not list(tmp_path.glob(".*"))
+
+
+def test_a_study_does_not_wait_for_scenes_that_it_does_not_want(monkeypatch, tmp_path):
+    """While one scene is being made another process makes the next."""
+    first, second = (make.scene_name("XS", *pair) for pair in SUITES["XS"].pairs[:2])
+    begun, may_end = threading.Event(), threading.Event()
+
+    def held_up(asset, light, others, options, folder):
+        if folder.name == first:
+            begun.set()
+            assert may_end.wait(60)
+        folder.mkdir()
+
+    monkeypatch.setattr(make, "make_scene", held_up)
+    monkeypatch.setattr(make, "write_object", lambda name, out, side: out.mkdir(parents=True))
+    monkeypatch.setattr(make, "light_file", lambda folder, name: folder / name)
+    with ThreadPoolExecutor(2) as pool:
+        slow = pool.submit(make_suite, "XS", tmp_path, [first])
+        assert begun.wait(60)
+        assert make_suite("XS", tmp_path, [second]) == [tmp_path / second]
+        assert not (tmp_path / first).exists()
+        may_end.set()
+        assert slow.result() == [tmp_path / first]

@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.markdown import number
 from benchmarks.study import store
+from benchmarks.study.versions import LATER
 from benchmarks.tables import __main__ as command
 from benchmarks.tables import committed
 from benchmarks.tables.pages import BETWEEN_MARKS, TABLES, filled, pages
@@ -68,12 +69,13 @@ def test_rows_say_what_made_them(file):
     assert all(about[key] for key in ("command", "commit", "machine", "data"))
 
 
-def test_rows_of_the_study_say_what_made_them():
-    for file in store.ROWS.rglob("*.json"):
+@pytest.mark.parametrize("rows", [store.ROWS, LATER], ids=lambda folder: folder.name)
+def test_rows_of_the_study_say_what_made_them(rows):
+    for file in rows.rglob("*.json"):
         row = committed.read_json(file)
         assert all(row[key] for key in ("machine", "commit", "command")), file
         assert "note" in row, file
-        folder = store.suite_folder(store.ROWS, row["suite"]) / row["scene"] / row["method"]
+        folder = store.suite_folder(rows, row["suite"]) / row["scene"] / row["method"]
         seed = row["seed"] if "seed" in row else Path(store.TOGETHER).stem
         assert file == folder / f"{seed}.json"
 
