@@ -34,8 +34,8 @@ from pipeline.render.rows import Rows
 
 Start = tuple[RegionMaterials, torch.Tensor]  # of all regions, and a light code (3, m)
 
-# edges of the intervals of roughness that whole objects begin with, by metallic: denser ones gain on
-# some things and lose on most, for the best of many by noisy odds is a chance one
+# edges of the intervals of roughness that whole objects begin with, by metallic: denser ones gain
+# on some things and lose on most, for the best of many by noisy odds is a chance one
 GLOSSES = {0.0: (0.1, 0.2, 0.35, 0.55, 0.8), 1.0: (0.15, 0.28, 0.5)}
 # relative error, and rows per independent one, that are assumed
 ERROR, THINNING = 0.05, 3.0
