@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.study.intervals import paired, resampled
-from benchmarks.study.methods import OURS
+from benchmarks.study.methods import METHODS, OURS, is_ours
 from benchmarks.study.tables import (
     coverage_error,
     mean_of,
@@ -146,14 +146,19 @@ def error_ahead(data: dict, best: str, other: str) -> float:
     return resampled(len(ours), ahead)[0]
 
 
+def is_draw_of_ours(method: str) -> bool:
+    """Whether a method is one draw of our sampler, not a mean of several."""
+    return is_ours(method) and not METHODS[method].mean_of
+
+
 def speed_against(data: dict, slow: str = "dpi_paper_1000") -> str:
-    """How many times as long as our presets another method takes on the scenes it has rows of,
+    """How many times as long as a draw of ours another method takes on the scenes it has rows of,
     refinement included, in one sentence.
     """
     scenes = {row["scene"] for row in data["rows"] if row["method"] == slow}
     same = {"rows": [row for row in data["rows"] if row["scene"] in scenes]}
     spent = {method: seconds(same, method) for method in methods_in(same)}
-    ours = {m: s for m, s in spent.items() if m.startswith("split_gibbs") and s is not None}
+    ours = {m: s for m, s in spent.items() if s is not None and is_draw_of_ours(m)}
     theirs = spent.get(slow)
     if theirs is None or not ours:
         return f"`{slow}` has no rows yet whose times can be compared."

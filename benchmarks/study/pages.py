@@ -88,12 +88,12 @@ S: dict[str, Callable[[dict], str]] = {
     "study_s_yardsticks": lambda data: yardstick_tables.table(data) + source("S", YARDSTICKS),
     "study_s_yardsticks_ahead": yardstick_tables.losers,
     "study_s_losses": losses,
-    "study_s_speed": lambda data: speed_against(data) + "\n",
     "study_s_source": lambda data: source("S"),
 }
 TABLES: dict[str, Callable[[], str]] = {
     **{name: of_suite("XS", make) for name, make in XS.items()},
     **{name: of_suite("S", make) for name, make in S.items()},
+    "study_s_speed": lambda: speed_against(suite_rows("S", LATER)) + "\n",
     "study_s_versions": lambda: (
         versions(suite_rows("S"), suite_rows("S", LATER)) + source("S", folder=LATER)
     ),

@@ -265,6 +265,11 @@ def test_speed_counts_refinement(data):
     data["rows"] += rows_of(OURS, 20, 500, scenes=("c",))  # another scene does not count
     assert speed_against(data).startswith("On 1 scene `dpi_paper_1000` takes 30.0 times")
 
+    data["rows"] += rows_of("preset_draft", 20, 30, scenes=("b",))
+    data["rows"] += rows_of("preset_draft_mean", 20, 90, scenes=("b",))
+    said = speed_against(data)
+    assert "5.0 times as long as `preset_draft`" in said and "_mean" not in said
+
 
 @pytest.mark.slow
 def test_one_draw_a_scene_makes_no_chart_of_coverage(data, tmp_path, capsys):
