@@ -68,8 +68,10 @@ class Poses(Section):
         "auto",
         description="auto: photos of one size (either way up) and one focal length share a camera",
     )
-    min_registered: float = Field(
-        0.9, gt=0, le=1, description="below this share a second, more thorough attempt is made"
+    min_registered: Annotated[float, Field(gt=0, le=1)] | Literal["auto"] = Field(
+        "auto",
+        description="below this share a second, more thorough attempt is made; auto: all of up to "
+        "30 photos, 90 % of more",
     )
     match_exposure: bool = Field(
         True,

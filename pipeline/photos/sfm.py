@@ -30,6 +30,9 @@ HINT = (
 )
 SEED = 0  # of all tries of the poses stage
 EVERY_PHOTO = 1 << 20  # that models may share
+# photos, none of which can be spared: where one is lost the cameras of the others are shaky too
+FEW = 30
+ENOUGH = 0.9  # of more photos, enough
 EXIF_IFD = 0x8769
 FOCAL_35MM = 0xA405
 
@@ -243,6 +246,13 @@ def _to_map(database: Path, held_out: list[str]) -> Path:
     return copy
 
 
+def wanted(count: int, settings: Poses) -> float:
+    """How many of `count` photos an attempt has to register, to be the last one."""
+    if settings.min_registered != "auto":
+        return settings.min_registered * count
+    return count if count <= FEW else ENOUGH * count
+
+
 def registered_images(model: pycolmap.Reconstruction | None) -> int:
     """How many images a model holds; 0 for None."""
     return 0 if model is None else model.num_reg_images()
@@ -284,7 +294,7 @@ def reconstruct(
             if registered_images(model) > registered_images(best):
                 best, found_in = model, database
             registered = registered_images(best)
-            if registered and registered >= settings.min_registered * count:
+            if registered >= wanted(count, settings):
                 break
             print(
                 f"{registered} of {count} photos registered by the {tag} attempt",

@@ -1,5 +1,7 @@
 """Structure from motion of a made-up scene, a box on a floor, with all that is known of it."""
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from pipeline.base.config import Capture, Observe, Poses
 from pipeline.base.files import write_json
 from pipeline.base.images import to_srgb8, write_png
 from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP, View, load_cameras
+from pipeline.photos import sfm
 from pipeline.photos.capture import capture
 from pipeline.photos.poses import make_poses
 from tests.conftest import look_at
@@ -112,6 +115,28 @@ def test_photos_that_are_held_out_are_placed_and_nothing_is_made_from_them(photo
     owner = np.repeat(np.arange(len(points["xyz"])), np.diff(points["offsets"]))
     made_by = np.bincount(owner[np.isin(points["views"], index)], minlength=len(points["xyz"]))
     assert made_by.min() >= 2
+
+
+@pytest.mark.slow
+def test_of_few_photos_none_is_spared(photographed, tmp_path, monkeypatch):
+    mapped = sfm._mapped
+
+    def without_one(database, tag, held_out, threads):
+        found, sizes = mapped(database, tag, held_out, threads)
+        if tag != "plain":
+            return found, sizes
+        return SimpleNamespace(num_reg_images=lambda: COUNT - 1), [COUNT - 1]
+
+    monkeypatch.setattr(sfm, "_mapped", without_one)
+    facts = make_poses(photographed[1], photographed[0], tmp_path, SETTINGS, Observe(held_out=0), 1)
+    tried = [(attempt["attempt"], attempt["models"][0]) for attempt in facts["attempts"]]
+    assert tried == [("plain", COUNT - 1), ("thorough", COUNT)]
+
+
+def test_enough_of_the_photos_are_registered():
+    auto, half = Poses(), Poses(min_registered=0.5)
+    assert sfm.wanted(23, auto) == 23 and sfm.wanted(200, auto) == 180
+    assert sfm.wanted(23, half) == 11.5
 
 
 @pytest.mark.slow
