@@ -296,7 +296,7 @@ rule refine:
         CHOSEN,
         rules.sample.output,
     output:
-        made("refine/{sample}", "refine.json", "left_out.npz", *EXPLANATION),
+        made("refine/{sample}", "refine.json", "left_out.npz", "seen.png", *EXPLANATION),
     log:
         "work/{scene}/logs/refine_{sample}.log",
     benchmark:

@@ -23,7 +23,8 @@ def work(s: Stage) -> None:
         "poses": load_cameras(s.args.poses / "cameras.json").source,
         "meters_known": s.scene.poses.object_size is not None,
     }
-    facts |= asset_facts(Spread.of(Samples(s.args.samples)))
+    samples = Samples(s.args.samples)
+    facts |= asset_facts(Spread.of(samples), samples.texels)
     white = Radiance.load(s.args.capture).white
     metrics = export(s.args.atlas, s.args.samples, s.out, facts, white)
     report_metrics(s.args.metrics, metrics | s.costs())

@@ -10,13 +10,16 @@ SCORE_UNITS = 5  # progress: scoring a view takes as long as so many of Adam's s
 
 def work(s: Stage) -> None:
     from pipeline.base.progress import Bar
+    from pipeline.geometry.mesh_io import load_mesh
     from pipeline.posterior.choose.chosen import chosen_scene
     from pipeline.posterior.draw_facts import DrawFacts
     from pipeline.posterior.judge import judge
     from pipeline.posterior.load import load_problem
     from pipeline.posterior.refine import refine, units
+    from pipeline.posterior.textures import seen_texels
     from pipeline.render.metrics import held_out_photos, score_held_out
     from pipeline.render.renderer import Explanation
+    from pipeline.render.surface_texels import SurfaceTexels
 
     scene = chosen_scene(s.scene, s.args.choose)
     settings = scene.refine
@@ -41,6 +44,8 @@ def work(s: Stage) -> None:
             )
             refined.save(out)
             judge(problem, refined, settings).save(out)
+            shown = seen_texels(problem.observations.uv, settings.texture)
+            SurfaceTexels.of(load_mesh(problem.renderer.mesh), shown).save(out)
         report_metrics(out / "refine.json", {"index": index} | facts | scores | s.costs())
 
 

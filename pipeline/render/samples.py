@@ -18,6 +18,7 @@ from pipeline.base.images import linear_to_srgb, luminance
 from pipeline.render.draw_metrics import COMMON_ERROR, half_width
 from pipeline.render.renderer import Explanation
 from pipeline.render.stacking import LeftOut, weights
+from pipeline.render.surface_texels import SurfaceTexels
 
 MEAN = "mean"  # what the samples' mean is called among an asset's variants
 FEWEST = 2  # samples that say anything of spread
@@ -52,6 +53,11 @@ class Samples(Sequence):
     def judged(self) -> list[LeftOut]:
         """What is known of each by photos left out. Raises InputError."""
         return [LeftOut.load(folder) for folder in self.folders]
+
+    @cached_property
+    def texels(self) -> SurfaceTexels:
+        """Those of base colours, the same for all samples. Raises InputError."""
+        return SurfaceTexels.load(self.folders[0])
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -139,15 +145,16 @@ def half_widths(deviation: np.ndarray, count: int) -> tuple[float, float]:
     return float(middle), float(hard)
 
 
-def asset_facts(spread: Spread | None) -> dict:
-    """What an asset says of itself: within how much of the samples' mean the true base colour is
-    put, sRGB, at half of the texels and at HARD of them, and the share that such intervals are to
-    hold. Nothing for a single sample.
+def asset_facts(spread: Spread | None, texels: SurfaceTexels) -> dict:
+    """What an asset says of itself: the share of its surface that no photo shows; within how much
+    of the samples' mean the true base colour is put, sRGB, at half of the other texels and at HARD
+    of them, and the share that such intervals are to hold, these not for a single sample.
     """
+    unseen = {"unseen_share": round(texels.unseen_share, 4)}
     if spread is None:
-        return {}
-    middle, hard = half_widths(spread.color, spread.count)
-    return {
+        return unseen
+    middle, hard = half_widths(spread.color[texels.seen], spread.count)
+    return unseen | {
         "base_color_within": round(middle, 3),
         "base_color_within_hard": round(hard, 3),
         "interval": LEVEL,

@@ -9,18 +9,20 @@ import numpy as np
 from pipeline.base.images import linear_to_srgb
 from pipeline.render.draw_metrics import COMMON_ERROR
 from pipeline.render.samples import FEWEST, LEVEL, Spread, half_widths
+from pipeline.render.surface_texels import SurfaceTexels
 
 KNOWN_TO = 0.02  # standard error of the samples' mean base colour, sRGB: five steps of 8 bits
 MOST = 64
+FEW = 0.005  # of the surface: so little that no photo shows is not worth a sentence
 
 
-def color_facts(spread: Spread) -> dict:
-    """How much the samples' base colours differ, sRGB: how many of them make the standard error of
-    their mean KNOWN_TO, s^2 / KNOWN_TO^2 for a root mean square deviation of s over texels and
-    channels, between FEWEST and MOST; and the half-widths of LEVEL's predictive interval at the
-    median of the texels and channels and at HARD.
+def color_facts(spread: Spread, texels: SurfaceTexels) -> dict:
+    """How much the samples' base colours differ where photos show the surface, sRGB: how many of
+    them make the standard error of their mean KNOWN_TO, s^2 / KNOWN_TO^2 for a root mean square
+    deviation of s over texels and channels, between FEWEST and MOST; and the half-widths of LEVEL's
+    predictive interval at the median of the texels and channels and at HARD.
     """
-    deviation = spread.color
+    deviation = spread.color[texels.seen]
     mean_square = float((deviation**2).mean())
     needed = int(np.clip(np.ceil(mean_square / KNOWN_TO**2), FEWEST, MOST))
     middle, hard = half_widths(deviation, spread.count)
@@ -69,15 +71,27 @@ def weights_words(weights: np.ndarray, pixels: int) -> str:
     )
 
 
+def unseen_words(texels: SurfaceTexels) -> str:
+    """How much of the surface no photo shows, and what is there; empty for hardly any."""
+    if texels.unseen_share < FEW:
+        return ""
+    return (
+        f"No photo shows {100 * texels.unseen_share:.0f} % of the surface, grey in pictures of "
+        "spread. Every sample has the colours of the nearest part there that a photo shows: "
+        "nothing is known of it."
+    )
+
+
 def interval_words(found: dict) -> str:
     """How far the truth may be off the samples' mean, in plain words, of `color_facts` and
     `relit_facts`.
     """
     return (
         f"The true base colour is put within ±{found['color_within']:.2f} (sRGB) of the mean of "
-        f"samples at half of the texels, within ±{found['color_within_hard']:.2f} at nine tenths "
-        f"of them; the view under another light within ±{found['relit_within']:.2f} and "
-        f"±{found['relit_within_hard']:.2f} ({100 * LEVEL:.0f} % intervals). They count by how "
-        f"much the samples differ, and an error of {found['common_error']:.2f} that all have in "
-        "common on scenes whose surface and truth are known. A wrong surface comes on top."
+        "samples at half of the texels that photos show, within "
+        f"±{found['color_within_hard']:.2f} at nine tenths of them; the view under another light "
+        f"within ±{found['relit_within']:.2f} and ±{found['relit_within_hard']:.2f} "
+        f"({100 * LEVEL:.0f} % intervals). They count by how much the samples differ, and an error "
+        f"of {found['common_error']:.2f} that all have in common on scenes whose surface and truth "
+        "are known. A wrong surface comes on top."
     )

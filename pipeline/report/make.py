@@ -21,6 +21,7 @@ from pipeline.report.draws import (
     interval_words,
     relit_facts,
     samples_words,
+    unseen_words,
     weights_words,
 )
 from pipeline.report.html import page
@@ -69,7 +70,8 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
 
     held = facts["observe"]["held_out"]
     view = next((v for v in rig.views if held and v.name == held[0]), rig.views[0])
-    painter = Painter(work, view, scene)
+    texels = explanations.texels
+    painter = Painter(work, view, scene, texels)
     samples = [painter.sample(x) for x in explanations]
     mean = mean_of(explanations, explanations.weights)
     of_mean = None
@@ -83,7 +85,7 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
         "atlas": (work / "atlas" / "atlas.png").read_bytes(),
         "normals": normal_map(work),
         "photo": painter.photo_jpeg(),
-        "spread": spread_pictures(spread) if spread else {},
+        "spread": spread_pictures(spread, texels) if spread else {},
     }
     held_out = [f["held_out_psnr"] for stage, f in facts.items() if stage.startswith("refine")]
     scores = [score for score in held_out if score is not None]
@@ -92,17 +94,19 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     trust = in_words(found, model, facts["mesh"]["method"] == "given")
     brightness = float(np.mean([s["mean_radiance"] for s in samples]))
     relit = relit_facts([s["relit"] for s in samples], brightness)
-    certain = color_facts(spread) | relit if spread else {}
+    certain = color_facts(spread, texels) | relit if spread else {}
     enough = samples_words(certain, scene.samples) if certain else ""
     within = interval_words(certain) if certain else ""
     weights = explanations.weights
     counts = weights_words(weights, len(explanations.judged[0].pixel)) if certain else ""
     said = {"trust": trust, "enough": enough, "within": within, "counts": counts}
+    said["unseen"] = unseen_words(texels)
     shown = view.name, view.name in held
     html = page(usd, scene, facts, pictures, samples, of_mean, *shown, said)
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
     metrics = {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": scene.samples}
+    metrics["unseen_share"] = texels.unseen_share
     metrics |= certain | {"weights": weights.tolist()}
     if of_mean:
         metrics["mean_held_out_psnr"] = of_mean["held_out"]

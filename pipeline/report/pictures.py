@@ -17,9 +17,13 @@ from pipeline.render.envmap import directions, mean_radiance, resample_area
 from pipeline.render.metrics import psnr, render_pixels, render_twice
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.render.samples import Spread
+from pipeline.render.surface_texels import SurfaceTexels
 from pipeline.render.surroundings import Ground, Surroundings
 
 HEAT = cv2.COLORMAP_INFERNO
+PAGE = 384  # texels a side that the page shows of a map
+BESIDE = np.array([58, 64, 76], np.uint8)  # what lies beside the charts: no map has that colour
+UNSEEN = np.uint8(128)  # and of those whose spread says nothing
 
 
 def encode(pixels: np.ndarray, kind: str = "JPEG") -> bytes:
@@ -38,7 +42,18 @@ def heat(values: np.ndarray, top: float) -> np.ndarray:
 
 def shrink(texture: np.ndarray) -> np.ndarray:
     """A texture at the size that the page shows."""
-    return cv2.resize(texture, (384, 384), interpolation=cv2.INTER_AREA)
+    return cv2.resize(texture, (PAGE, PAGE), interpolation=cv2.INTER_AREA)
+
+
+def on_surface(picture: np.ndarray, texels: SurfaceTexels) -> np.ndarray:
+    """A map's picture (t, t) or (t, t, 3), uint8, in colour without what lies beside the charts."""
+    color = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=-1)
+    return np.where(texels.surface[..., None], color, BESIDE)
+
+
+def where_seen(picture: np.ndarray, texels: SurfaceTexels) -> np.ndarray:
+    """A spread's picture (t, t, 3), uint8, only of what photos show of the surface."""
+    return on_surface(np.where(texels.seen[..., None], picture, UNSEEN), texels)
 
 
 def range_words(values: np.ndarray) -> str:
@@ -55,13 +70,15 @@ def normal_map(work: Path) -> bytes | None:
     return encode((shrink(normals) * 255).astype(np.uint8))
 
 
-def spread_pictures(spread: Spread) -> dict[str, bytes]:
+def spread_pictures(spread: Spread, texels: SurfaceTexels) -> dict[str, bytes]:
     """Of every map's standard deviation over samples, and of the log light's."""
+    texels = texels.resized(PAGE)
+    shown = lambda of, top: encode(where_seen(heat(shrink(of), top), texels))
     light = cv2.resize(spread.light.mean(-1), (512, 256), interpolation=cv2.INTER_NEAREST)
     return {
-        "base colour (0 to 0.2, sRGB)": encode(heat(shrink(spread.color.mean(-1)), 0.2)),
-        "roughness (0 to 0.3)": encode(heat(shrink(spread.roughness), 0.3)),
-        "metallic (0 to 0.3)": encode(heat(shrink(spread.metallic), 0.3)),
+        "base colour (0 to 0.2, sRGB)": shown(spread.color.mean(-1), 0.2),
+        "roughness (0 to 0.3)": shown(spread.roughness, 0.3),
+        "metallic (0 to 0.3)": shown(spread.metallic, 0.3),
         "light (log radiance, 0 to 2)": encode(heat(light, 2.0)),
     }
 
@@ -98,8 +115,9 @@ def evening_light(height: int) -> np.ndarray:
 class Painter:
     """Renders samples from one view, beside its photo and under another light."""
 
-    def __init__(self, work: Path, view: View, scene: Scene):
+    def __init__(self, work: Path, view: View, scene: Scene, texels: SurfaceTexels):
         self.work = work
+        self.texels = texels.resized(PAGE)
         self.scene = scene
         self.view = view.scaled(min(1.0, scene.report.relight_size * 2 / view.width))
 
@@ -153,10 +171,11 @@ class Painter:
         relit = Explanation(evening, x.base_color, x.roughness, x.metallic)
         other = render_pixels(self.renderer(x), relit, self.view, self.shown, spp)
 
-        grey = lambda m: encode((shrink(np.clip(m, 0, 1)) * 255).astype(np.uint8))
+        chart = lambda shown: encode(on_surface(shown, self.texels))
+        grey = lambda m: chart((shrink(np.clip(m, 0, 1)) * 255).astype(np.uint8))
         return {
             "lights": [encode(show_light(x.light, e / brightness)) for e in (0.08, 0.4, 2.0)],
-            "base_color": encode(to_srgb8(shrink(x.base_color))),
+            "base_color": chart(to_srgb8(shrink(x.base_color))),
             "roughness": grey(x.roughness),
             "metallic": grey(x.metallic),
             "roughness_says": range_words(x.roughness),
@@ -167,5 +186,4 @@ class Painter:
             "relit": other[self.mask] / brightness,
             "psnr": psnr(halves[0], self.photo, self.mask, halves[1]),
             "mean_radiance": brightness,
-            "mean_base_color": float(x.base_color.mean()),
         }

@@ -13,6 +13,7 @@ from pipeline.render.draw_metrics import COMMON_ERROR
 from pipeline.render.renderer import Explanation
 from pipeline.render.samples import Samples, Spread, asset_facts
 from pipeline.render.stacking import LeftOut
+from pipeline.render.surface_texels import SurfaceTexels
 from pipeline.report.make import make_report
 from tests.render.test_renderer import explanation
 from tests.report import test_report
@@ -65,13 +66,24 @@ def test_spread_is_that_of_all_samples_at_once(tmp_path):
 
 
 def test_an_asset_says_how_far_its_base_colour_may_be_off():
-    """Alike samples: only what all samples may miss together; a single one says nothing."""
+    """Alike samples: only what all samples may miss together; a single one says nothing, and what
+    no photo shows does not count.
+    """
     one = explanation(16, 8, seed=0)
-    alike = asset_facts(Spread.of([one, one, one]))
+    everywhere = np.ones((16, 16), bool)
+    texels = SurfaceTexels(everywhere, everywhere)
+    alike = asset_facts(Spread.of([one, one, one]), texels)
     assert alike["base_color_within"] == pytest.approx(1.2816 * COMMON_ERROR, abs=1e-3)
     other = replace(one, base_color=np.clip(one.base_color + 0.3, 0, 1))
-    apart = asset_facts(Spread.of([one, other]))
+    apart = asset_facts(Spread.of([one, other]), texels)
     assert (
         alike["base_color_within"] < apart["base_color_within"] <= apart["base_color_within_hard"]
     )
-    assert apart["interval"] == 0.8 and asset_facts(Spread.of([one])) == {}
+    assert apart["interval"] == 0.8 and alike["unseen_share"] == 0
+    assert asset_facts(Spread.of([one]), texels) == {"unseen_share": 0}
+
+    left = np.arange(16) < np.full((16, 1), 4)
+    half_changed = replace(one, base_color=np.where(left[..., None], one.base_color, 1))
+    found = asset_facts(Spread.of([one, half_changed]), SurfaceTexels(everywhere, left))
+    assert found["unseen_share"] == 0.75
+    assert found["base_color_within_hard"] < apart["base_color_within"]

@@ -23,17 +23,28 @@ from pipeline.render.draw_metrics import COMMON_ERROR, half_width, predictive_re
 from pipeline.render.renderer import Renderer
 from pipeline.render.samples import LEVEL, Spread
 from pipeline.render.stacking import LeftOut
+from pipeline.render.surface_texels import SurfaceTexels
 from pipeline.report import trust
 from pipeline.report.choices import gloss_choices
-from pipeline.report.draws import color_facts, relit_facts, weights_words
+from pipeline.report.draws import color_facts, relit_facts, unseen_words, weights_words
 from pipeline.report.make import make_report
-from pipeline.report.pictures import Painter, evening_light, heat, range_words, spread_pictures
+from pipeline.report.pictures import (
+    BESIDE,
+    Painter,
+    evening_light,
+    heat,
+    on_surface,
+    range_words,
+    spread_pictures,
+    where_seen,
+)
 from tests.render.pictures import render_view
 from tests.render.test_renderer import explanation
 from tests.seeds import numpy_rng
 
 SIZE = 48
 SCENE = Scene(photos="nowhere", samples=2, preset="draft", report={"relight_size": 32, "spp": 16})
+UPPER = np.arange(16)[:, None] < np.full(16, 12)  # texels that photos show, of 16 a side
 ALONE = SCENE.model_copy(update={"samples": 1})
 FACTS = {
     "capture": {"clipped_share": 0.05},
@@ -113,6 +124,7 @@ def finished_run(work: Path, ball: Path, views) -> Path:
         LeftOut(np.arange(2), np.eye(2)[[k, k], :, None] * np.ones(3)).save(
             work / "refine" / str(k)
         )
+        SurfaceTexels.of(load_mesh(ball / "mesh_uv.ply"), UPPER).save(work / "refine" / str(k))
         write_json(
             work / "refine" / str(k) / "refine.json", {"held_out_psnr": 30.0 + k, "seconds": 3.0}
         )
@@ -275,7 +287,7 @@ def test_the_shown_render_is_the_photos_view(work):
     from pipeline.geometry.cameras import load_cameras
 
     view = next(v for v in load_cameras(work / "poses" / "cameras.json").views if v.name == "v1")
-    painter = Painter(work, view, SCENE)
+    painter = Painter(work, view, SCENE, SurfaceTexels.load(work / "refine" / "0"))
     picture = lambda b: np.asarray(Image.open(io.BytesIO(b))).astype(float)
     shown, photo = (
         picture(painter.sample(explanation(16, 8, seed=0))["render"]),
@@ -292,7 +304,7 @@ def test_render_lines_up_with_the_photo(work, ring):
     from pipeline.geometry.cameras import load_cameras
 
     view = next(v for v in load_cameras(work / "poses" / "cameras.json").views if v.name == "v1")
-    painter = Painter(work, view, SCENE)
+    painter = Painter(work, view, SCENE, SurfaceTexels.load(work / "refine" / "0"))
     right, wrong = (painter.sample(explanation(16, 8, seed=k))["psnr"] for k in (0, 1))
     painter.photo = painter.photo[:, ::-1]
     mirrored = painter.sample(explanation(16, 8, seed=0))["psnr"]
@@ -302,12 +314,28 @@ def test_render_lines_up_with_the_photo(work, ring):
 def test_spread_is_dark_where_samples_agree():
     picture = lambda b: np.asarray(Image.open(io.BytesIO(b))).astype(int)
     pair = [explanation(16, 8, seed=0), explanation(16, 8, seed=1, roughness=0.9)]
-    shown = spread_pictures(Spread.of(pair))
+    everywhere = np.ones((16, 16), bool)
+    shown = spread_pictures(Spread.of(pair), SurfaceTexels(everywhere, everywhere))
     base, rough, metal, light = (picture(b) for b in shown.values())
     assert np.abs(metal - heat(np.zeros((1, 1)), 1)[0, 0]).max() < 6  # same metallic in both
     deviation = np.full((1, 1), 0.4 / np.sqrt(2))  # of roughness .5 and .9
     assert np.abs(rough - heat(deviation, 0.3)[0, 0]).max() < 6
     assert base.mean() > metal.mean() + 5 and light.mean() > metal.mean() + 5
+
+
+def test_a_spread_is_shown_where_photos_show_the_surface(page):
+    """Elsewhere grey, and black beside the charts; the page says how much is grey."""
+    color = np.full((16, 16, 3), 200, np.uint8)
+    surface = np.arange(16)[None] < np.full((16, 1), 12)
+    texels = SurfaceTexels(surface, surface & UPPER)
+    shown = where_seen(color, texels)
+    assert (shown[UPPER & surface] == 200).all() and (shown[~UPPER & surface] == 128).all()
+    assert (shown[~surface] == BESIDE).all()
+    assert (on_surface(color[..., 0], texels)[surface] == 200).all()
+    metrics, html, _ = page
+    share = metrics["unseen_share"]
+    assert 0.1 < share < 0.5 and f"No photo shows {100 * share:.0f} % of the surface" in html
+    assert unseen_words(SurfaceTexels(surface, surface)) == ""
 
 
 def test_evening_light_comes_from_its_sun():
@@ -417,14 +445,15 @@ def test_samples_needed_follow_from_their_spread(page):
     color = np.full((16, 16, 3), 0.2, np.float32)
     other = linear_to_srgb(color) + 0.1
     pair = [replace(one, base_color=color), replace(one, base_color=srgb_to_linear(other))]
-    found = color_facts(Spread.of(pair))
+    everywhere = SurfaceTexels(np.ones((16, 16), bool), np.ones((16, 16), bool))
+    found = color_facts(Spread.of(pair), everywhere)
     assert found["spread"] == pytest.approx(0.1 / np.sqrt(2), rel=1e-3)
     assert found["samples_needed"] == 13  # .005 / .0004 = 12.5
     reach = half_width(0.1 / np.sqrt(2), 2, LEVEL, COMMON_ERROR)
     assert [found[k] for k in ("color_within", "color_within_hard")] == pytest.approx(
         [reach, reach], rel=1e-3
     )
-    assert color_facts(Spread.of([pair[0], pair[0]]))["samples_needed"] == 2
+    assert color_facts(Spread.of([pair[0], pair[0]]), everywhere)["samples_needed"] == 2
 
     metrics, said, _ = page
     assert f"so {metrics['samples_needed']} give a mean" in said
