@@ -1,7 +1,7 @@
 """Structure from motion with COLMAP on the CPU: SIFT, matching, incremental mapping.
 
-Too few photos registered: a more thorough second attempt, then global mapping of its matches. The
-largest model is kept.
+Too few photos registered: more thorough attempts, one after the other (ATTEMPTS). The largest model
+is kept.
 """
 
 from __future__ import annotations
@@ -29,6 +29,10 @@ HINT = (
     "without zooming or moving the object"
 )
 SEED = 0  # of all tries of the poses stage
+# until one registers enough: as configured; more features, of affine shapes and pooled sizes; the
+# same features matched anew along the geometry that their first matches have shown, which takes ten
+# times as long and finds loose matches too; those matches, by global mapping
+ATTEMPTS = "plain", "thorough", "guided", "global"
 EVERY_PHOTO = 1 << 20  # that models may share
 # photos, none of which can be spared: where one is lost the cameras of the others are shaky too
 FEW = 30
@@ -148,14 +152,14 @@ def _extract(
     )
 
 
-def _match(database: Path, exhaustive: bool, thorough: bool, threads: int) -> None:
+def _match(database: Path, exhaustive: bool, guided: bool, threads: int) -> None:
     """Match the features of all pairs of photos, or of neighbours in their sequence."""
     import pycolmap
 
     options = pycolmap.FeatureMatchingOptions()
     options.num_threads = threads
     options.use_gpu = False
-    options.guided_matching = thorough
+    options.guided_matching = guided
     if exhaustive:
         pycolmap.match_exhaustive(database, matching_options=options)
         return
@@ -184,27 +188,32 @@ def _largest(
 
 
 def _matched(
-    folder: Path, tag: str, count: int, cameras: int, settings: Poses, threads: int
+    folder: Path, tag: str, files: list[str], cameras: int, settings: Poses, threads: int
 ) -> tuple[Path, str]:
-    """The database of an attempt with all photos' features and matches, and what was matched.
+    """The database of an attempt with the features and matches of all photos `files`, and what was
+    matched.
 
     Neighbours in COLMAP's sequence are those of one camera, so more of the photos are matched with
     all others where there are several.
     """
     import pycolmap
 
-    thorough = tag == "thorough"
+    thorough, guided = tag != "plain", tag == "guided"
     database = folder / f"{tag}.db"
-    _say("features", tag)
-    images = folder / "images"
-    _extract(database, images, settings, thorough, threads, pycolmap.CameraMode.PER_FOLDER)
+    if guided:
+        without_matches(folder / "thorough.db", database, files)
+    else:
+        _say("features", tag)
+        images = folder / "images"
+        _extract(database, images, settings, thorough, threads, pycolmap.CameraMode.PER_FOLDER)
 
     _say("matching", tag)
     if settings.matching == "auto":
+        count = len(files)
         exhaustive = count <= 60 or (thorough or cameras > 1) and count <= 150
     else:
         exhaustive = settings.matching == "exhaustive"
-    _match(database, exhaustive, thorough, threads)
+    _match(database, exhaustive, guided, threads)
     return database, "exhaustive" if exhaustive else "sequential"
 
 
@@ -279,10 +288,10 @@ def reconstruct(
 
         best, found_in = None, None
         attempts = []
-        for tag in ("plain", "thorough", "global"):
+        for tag in ATTEMPTS:
             facts: dict = {"attempt": tag, "cameras": cameras}
-            if tag != "global":  # which maps the matches of the thorough one
-                database, how = _matched(folder, tag, len(photos), cameras, settings, threads)
+            if tag != "global":  # which maps the matches of the one before
+                database, how = _matched(folder, tag, files, cameras, settings, threads)
                 facts["matching"] = how
             if tag == "plain":
                 photos = hold_out(photos, observe, matches_between(database, files))

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 
 from pipeline.base.config import Capture, Observe, Poses
@@ -118,19 +119,29 @@ def test_photos_that_are_held_out_are_placed_and_nothing_is_made_from_them(photo
 
 
 @pytest.mark.slow
-def test_of_few_photos_none_is_spared(photographed, tmp_path, monkeypatch):
-    mapped = sfm._mapped
+@pytest.mark.parametrize("losing", [("plain",), ("plain", "thorough")])
+def test_of_few_photos_none_is_spared(photographed, tmp_path, monkeypatch, losing):
+    """One attempt follows the other; the guided one has the thorough one's features, matched
+    anew.
+    """
+    mapped, counts = sfm._mapped, {}
 
     def without_one(database, tag, held_out, threads):
+        with pycolmap.Database.open(str(database)) as db:
+            counts[tag] = db.num_keypoints(), db.num_inlier_matches()
         found, sizes = mapped(database, tag, held_out, threads)
-        if tag != "plain":
+        if tag not in losing:
             return found, sizes
         return SimpleNamespace(num_reg_images=lambda: COUNT - 1), [COUNT - 1]
 
     monkeypatch.setattr(sfm, "_mapped", without_one)
     facts = make_poses(photographed[1], photographed[0], tmp_path, SETTINGS, Observe(held_out=0), 1)
     tried = [(attempt["attempt"], attempt["models"][0]) for attempt in facts["attempts"]]
-    assert tried == [("plain", COUNT - 1), ("thorough", COUNT)]
+    last = sfm.ATTEMPTS[len(losing)]
+    assert tried == [(tag, COUNT - 1) for tag in losing] + [(last, COUNT)]
+    if last == "guided":
+        assert counts["guided"][0] == counts["thorough"][0] > counts["plain"][0]
+        assert counts["guided"][1] != counts["thorough"][1]
 
 
 def test_enough_of_the_photos_are_registered():
