@@ -7,12 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.base.images import linear_to_srgb
+from pipeline.geometry.mesh_io import Mesh, unit
 from pipeline.render.draw_metrics import COMMON_ERROR
 from pipeline.render.samples import FEWEST, LEVEL, Spread, half_widths
 from pipeline.render.surface_texels import SurfaceTexels
+from pipeline.surface.raster import texel_faces
 
 KNOWN_TO = 0.02  # standard error of the samples' mean base colour, sRGB: five steps of 8 bits
 MOST = 64
+SLANTED = 0.4  # mean height of unit normals below which a surface faces the sides
 FEW = 0.005  # of the surface: so little that no photo shows is not worth a sentence
 
 
@@ -71,14 +74,25 @@ def weights_words(weights: np.ndarray, pixels: int) -> str:
     )
 
 
-def unseen_words(texels: SurfaceTexels) -> str:
+def side_of(mesh: Mesh, texels: SurfaceTexels) -> str:
+    """Where photos would have to be taken from to show most of what none shows, +y being up."""
+    face = texel_faces(mesh, len(texels.seen))[0]
+    unseen = np.unique(face[texels.surface & ~texels.seen], return_counts=True)
+    a, b, c = (mesh.vertices[mesh.faces[unseen[0], k]] for k in range(3))
+    up = np.average(unit(np.cross(b - a, c - a))[:, 1], weights=unseen[1])
+    if abs(up) < SLANTED:
+        return "other sides"
+    return "above" if up > 0 else "below"
+
+
+def unseen_words(mesh: Mesh, texels: SurfaceTexels) -> str:
     """How much of the surface no photo shows, and what is there; empty for hardly any."""
     if texels.unseen_share < FEW:
         return ""
     return (
         f"No photo shows {100 * texels.unseen_share:.0f} % of the surface, grey in pictures of "
-        "spread. Every sample has the colours of the nearest part there that a photo shows: "
-        "nothing is known of it."
+        f"spread; most of it photos from {side_of(mesh, texels)} would show. Every sample has the "
+        "colours of the nearest part there that a photo shows: nothing is known of it."
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.base.config import Scene
 from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
+from pipeline.geometry.mesh_io import load_mesh
 from pipeline.render.metrics import held_out_photos, score_held_out
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation, Renderer
@@ -100,7 +101,7 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     weights = explanations.weights
     counts = weights_words(weights, len(explanations.judged[0].pixel)) if certain else ""
     said = {"trust": trust, "enough": enough, "within": within, "counts": counts}
-    said["unseen"] = unseen_words(texels)
+    said["unseen"] = unseen_words(load_mesh(work / "atlas" / "mesh_uv.ply"), texels)
     shown = view.name, view.name in held
     html = page(usd, scene, facts, pictures, samples, of_mean, *shown, said)
     with atomic_path(out) as temporary:

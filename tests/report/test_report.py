@@ -38,6 +38,7 @@ from pipeline.report.pictures import (
     spread_pictures,
     where_seen,
 )
+from pipeline.surface.raster import texel_faces
 from tests.render.pictures import render_view
 from tests.render.test_renderer import explanation
 from tests.seeds import numpy_rng
@@ -335,7 +336,22 @@ def test_a_spread_is_shown_where_photos_show_the_surface(page):
     metrics, html, _ = page
     share = metrics["unseen_share"]
     assert 0.1 < share < 0.5 and f"No photo shows {100 * share:.0f} % of the surface" in html
-    assert unseen_words(SurfaceTexels(surface, surface)) == ""
+    assert re.search("photos from [a-z ]+ would show", html)
+
+
+def test_the_page_says_where_photos_are_missing(ball):
+    mesh = load_mesh(ball / "mesh_uv.ply")
+    face = texel_faces(mesh, 64)[0]
+    centre = mesh.vertices[mesh.faces].mean(1)[face]  # the ball's own normals, about its centre
+    surface = face >= 0
+    for where, hidden in (
+        ("below", centre[..., 1] < -0.2),
+        ("above", centre[..., 1] > 0.2),
+        ("other sides", np.abs(centre[..., 1]) < 0.2),
+    ):
+        said = unseen_words(mesh, SurfaceTexels(surface, surface & ~hidden))
+        assert f"photos from {where} would show" in said
+    assert unseen_words(mesh, SurfaceTexels(surface, surface)) == ""
 
 
 def test_evening_light_comes_from_its_sun():
