@@ -16,6 +16,7 @@ from pipeline.surface.raster import texel_faces
 KNOWN_TO = 0.02  # standard error of the samples' mean base colour, sRGB: five steps of 8 bits
 MOST = 64
 SLANTED = 0.4  # mean height of unit normals below which a surface faces the sides
+SAME = 0.005  # deviation of roughness below which samples have the same
 FEW = 0.005  # of the surface: so little that no photo shows is not worth a sentence
 
 
@@ -93,6 +94,18 @@ def unseen_words(mesh: Mesh, texels: SurfaceTexels) -> str:
         f"No photo shows {100 * texels.unseen_share:.0f} % of the surface, grey in pictures of "
         f"spread; most of it photos from {side_of(mesh, texels)} would show. Every sample has the "
         "colours of the nearest part there that a photo shows: nothing is known of it."
+    )
+
+
+def alike_words(spread: Spread, tested: bool) -> str:
+    """That agreement on roughness is a choice, where all samples have the same; tested: whether
+    gloss had to be asked for by photos (`refine.gloss`). Empty elsewhere.
+    """
+    if not tested or spread.roughness.max() > SAME:
+        return ""
+    return (
+        "All samples have the same roughness: the simplest that predicts photos left out as well "
+        "as any. Photos do not contradict it, but that samples agree does not make it certain."
     )
 
 

@@ -18,6 +18,7 @@ from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.render.samples import Samples, Spread, mean_of
 from pipeline.report.draws import (
+    alike_words,
     color_facts,
     interval_words,
     relit_facts,
@@ -101,6 +102,7 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     weights = explanations.weights
     counts = weights_words(weights, len(explanations.judged[0].pixel)) if certain else ""
     said = {"trust": trust, "enough": enough, "within": within, "counts": counts}
+    said["alike"] = alike_words(spread, scene.refine.gloss == "tested") if spread else ""
     said["unseen"] = unseen_words(load_mesh(work / "atlas" / "mesh_uv.ply"), texels)
     shown = view.name, view.name in held
     html = page(usd, scene, facts, pictures, samples, of_mean, *shown, said)

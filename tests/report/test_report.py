@@ -26,7 +26,13 @@ from pipeline.render.stacking import LeftOut
 from pipeline.render.surface_texels import SurfaceTexels
 from pipeline.report import trust
 from pipeline.report.choices import gloss_choices
-from pipeline.report.draws import color_facts, relit_facts, unseen_words, weights_words
+from pipeline.report.draws import (
+    alike_words,
+    color_facts,
+    relit_facts,
+    unseen_words,
+    weights_words,
+)
 from pipeline.report.make import make_report
 from pipeline.report.pictures import (
     BESIDE,
@@ -352,6 +358,15 @@ def test_the_page_says_where_photos_are_missing(ball):
         said = unseen_words(mesh, SurfaceTexels(surface, surface & ~hidden))
         assert f"photos from {where} would show" in said
     assert unseen_words(mesh, SurfaceTexels(surface, surface)) == ""
+
+
+def test_that_all_samples_have_one_roughness_is_called_a_choice():
+    rough = [explanation(16, 8, seed=k, roughness=0.9) for k in (0, 1)]
+    said = alike_words(Spread.of(rough), tested=True)
+    assert "does not make it certain" in said
+    assert alike_words(Spread.of(rough), tested=False) == ""
+    other = explanation(16, 8, seed=1, roughness=0.5)
+    assert alike_words(Spread.of([rough[0], other]), tested=True) == ""
 
 
 def test_evening_light_comes_from_its_sun():
