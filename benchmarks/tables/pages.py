@@ -65,8 +65,6 @@ def of_assets() -> dict[str, Callable[[], str]]:
     return {
         "parsimony": parsimony(parsimony_tables.summary, "parsimony"),
         "parsimony_scenes": parsimony(parsimony_tables.by_scene, "parsimony"),
-        "parsimony_later": parsimony(parsimony_tables.summary, "parsimony_later"),
-        "parsimony_later_scenes": parsimony(parsimony_tables.by_scene, "parsimony_later"),
         "parsimony_photos": parsimony(parsimony_tables.summary, "parsimony_photos"),
         "parsimony_photos_sets": parsimony(parsimony_tables.by_scene, "parsimony_photos"),
         "parsimony_draws": parsimony(parsimony_tables.summary, "parsimony_draws"),
