@@ -28,7 +28,7 @@ an outgoing direction in its local frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ from pipeline.base.runtime import mitsuba_rays
 from pipeline.geometry.mesh_io import sample_surface
 from pipeline.geometry.surface import Surface
 from pipeline.render.envmap import uv_from_direction
-from pipeline.render.light_grid import bilinear, grid_directions, light_weights
+from pipeline.render.light_grid import bilinear, grid_directions, light_weights, lit_by, spread_onto
 from pipeline.render.observe import Observations
 from pipeline.render.principled_lobes import LOBES, PrincipledLobes
 from pipeline.render.rows import CONE, Rows
@@ -61,28 +61,44 @@ BELOW = -2  # no ray at all: the direction lies below the horizon
 GROUND = -3  # the ground that the object stands on
 
 
-@dataclass
-class BlockedLight:
-    """Reflection of light that comes from the object itself, collected in parts."""
+class Reflected:
+    """What n rows reflect at one roughness, collected in parts: from the light F (4, n, M), from
+    the ground `of_ground` (4, n, 3), and from the object itself.
+    """
 
-    row: list[np.ndarray] = field(default_factory=list)
-    node: list[np.ndarray] = field(default_factory=list)
-    value: list[np.ndarray] = field(default_factory=list)
+    def __init__(self, roughness: float, rows: int, pixels: int):
+        self.lobes = PrincipledLobes(roughness)
+        self.F = np.zeros((len(LOBES), rows, pixels), np.float32)
+        self.of_ground = np.zeros((len(LOBES), rows, 3), np.float32)
+        self.blocked: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
-    def add(self, row: np.ndarray, node: np.ndarray, value: np.ndarray) -> None:
+    def block(self, row: np.ndarray, node: np.ndarray, value: np.ndarray) -> None:
         """Values (4, k) by which rows (k,) reflect what nodes (k,) give off."""
-        self.row.append(row)
-        self.node.append(node)
-        self.value.append(value.T)
+        self.blocked.append((row, node, value))
 
-    def matrices(self, shape: tuple[int, int]) -> list[sparse.csr_matrix]:
-        """One (n, q) matrix per lobe."""
-        row = np.concatenate(self.row)
-        node = np.concatenate(self.node)
-        value = np.concatenate(self.value)
-        return [
-            sparse.csr_matrix((value[:, lobe], (row, node)), shape) for lobe in range(len(LOBES))
-        ]
+    def from_ground(self, row: np.ndarray, radiance: np.ndarray, value: np.ndarray) -> None:
+        """Values (4, k) by which rows (k,) reflect the ground's radiance (k, 3)."""
+        for lobe, of_lobe in enumerate(value):
+            np.add.at(self.of_ground[lobe], row, of_lobe[:, None] * radiance)
+
+    def off_object(self, nodes: int) -> list[sparse.csr_matrix]:
+        """One (n, nodes) matrix per lobe."""
+        row, node, value = (np.concatenate(parts, -1) for parts in zip(*self.blocked))
+        shape = self.F.shape[1], nodes
+        return [sparse.csr_matrix((of_lobe, (row, node)), shape) for of_lobe in value]
+
+
+@dataclass
+class Lanes:
+    """Rows and directions of the grid that they are lit from, k pairs: number of the row and of the
+    cell (k,), what the row's point meets there (k,), and both directions in the row's frame.
+    """
+
+    row: np.ndarray
+    cell: np.ndarray
+    meets: np.ndarray
+    si: Any
+    wo: Any
 
 
 @dataclass
@@ -214,7 +230,8 @@ class Transport:
         """
         self.grid_rows = max(self.h, FINEST_GRID)
         self.cell_direction, self.cell_solid_angle = grid_directions(self.grid_rows, self.rng)
-        self.to_light = light_weights(self.cell_direction, self.cell_solid_angle, self.h)
+        weights = light_weights(self.cell_direction, self.cell_solid_angle, self.h)
+        self.to_light = weights.astype(np.float32)
 
         row, column = np.divmod(np.arange(len(self.cell_direction)), 2 * self.grid_rows)
         self.cell_ray = (column + 3 * row) % self.frame.shape[1]
@@ -312,66 +329,61 @@ class Transport:
         """Lobes at one roughness: light matrices F (4, n, M) float32 and a list of 4 sparse (n, q)
         for light off the object, or (n, q + 3) with the ground's columns.
         """
-        lobes = PrincipledLobes(roughness)
-        n = len(self.rows.point)
-        F = np.empty((len(LOBES), n, 2 * self.h**2), np.float32)
-        blocked = BlockedLight()
-        of_ground = np.zeros((len(LOBES), n, 3), np.float32)
+        return self.at_each([roughness], [seed])[0]
 
+    def at_each(
+        self, roughness: list[float], seeds: list[int]
+    ) -> list[tuple[np.ndarray, list[sparse.csr_matrix]]]:
+        """`at` every roughness with its seed: what is of the geometry is worked out once."""
+        n = len(self.rows.point)
+        found = [Reflected(r, n, 2 * self.h**2) for r in roughness]
         chunk = max(1, LANES // len(self.cell_direction))
         for k in range(0, n, chunk):
-            rows = np.arange(k, min(k + chunk, n))
-            F[:, rows] = self._over_the_grid(lobes, rows, blocked, of_ground)
-        self._add_highlights(lobes, F, blocked, of_ground, seed)
-        matrices = blocked.matrices((n, len(self.node_position)))
-        if self.ground is not None:
-            matrices = [sparse.hstack(pair, "csr") for pair in zip(matrices, of_ground)]
-        return F, matrices
+            lanes = self._lanes(np.arange(k, min(k + chunk, n)))
+            for reflected in found:
+                self._over_the_grid(reflected, lanes)
+        for reflected, seed in zip(found, seeds):
+            self._add_highlights(reflected, seed)
+        return [(reflected.F, self._off_object(reflected)) for reflected in found]
 
-    def _over_the_grid(
-        self,
-        lobes: PrincipledLobes,
-        rows: np.ndarray,
-        blocked: BlockedLight,
-        of_ground: np.ndarray,
-    ) -> np.ndarray:
-        """Light matrices (4, rows, M) from the grid's directions, balance heuristic against the
-        highlight's; what the object hides goes to `blocked`, what the ground gives to `of_ground`
-        (4, n, 3), in place.
-        """
+    def _off_object(self, reflected: Reflected) -> list[sparse.csr_matrix]:
+        """The matrices for light off the object, with the ground's columns where there is one."""
+        matrices = reflected.off_object(len(self.node_position))
+        if self.ground is None:
+            return matrices
+        return [sparse.hstack(pair, "csr") for pair in zip(matrices, reflected.of_ground)]
+
+    def _lanes(self, rows: np.ndarray) -> Lanes:
+        """Every one of `rows` with every direction above the horizon of its point."""
         cells = len(self.cell_direction)
-        # a lane for every row and cell; those below the horizon are zero and left out
         above = np.flatnonzero(self.meets[self.rows.point[rows]] != BELOW)
-        row = rows[above // cells]
-        cell = above % cells
+        row, cell = rows[above // cells], above % cells
+        return Lanes(
+            row,
+            cell,
+            self.meets[self.rows.point[row], cell],
+            self._interaction(row, self.cell_ray[cell]),
+            mi.Vector3f(np.ascontiguousarray(self._local_cells(rows)[:, above])),
+        )
 
-        si = self._interaction(row, self.cell_ray[cell])
-        wo = mi.Vector3f(np.ascontiguousarray(self._local_cells(rows)[:, above]))
-
+    def _over_the_grid(self, reflected: Reflected, lanes: Lanes) -> None:
+        """Add what comes from the grid's directions, balance heuristic against the highlight's."""
+        lobes, meets, row, cell = reflected.lobes, lanes.meets, lanes.row, lanes.cell
         density = 1 / self.cell_solid_angle[cell]
-        density = density + HIGHLIGHT_SAMPLES * lobes.highlight_density(si, wo)
-        value = np.nan_to_num(lobes(si, wo)) / density.astype(np.float32)
+        density = density + HIGHLIGHT_SAMPLES * lobes.highlight_density(lanes.si, lanes.wo)
+        value = np.nan_to_num(lobes(lanes.si, lanes.wo)) / density.astype(np.float32)
 
-        meets = self.meets[self.rows.point[row], cell]
         # every lobe is zero where the direction lies below the row's own shading horizon
         off_object = np.flatnonzero((meets >= 0) & (value[2] > 0))
-        blocked.add(row[off_object], meets[off_object], value[:, off_object])
-
+        reflected.block(row[off_object], meets[off_object], value[:, off_object])
         if self.ground is not None:
-            grid = self._on_grid(np.where(meets == GROUND, value, 0), above, len(rows))
-            given = grid.transpose(1, 0, 2) @ self.ground_seen[self.rows.point[rows]]
-            of_ground[:, rows] += given.transpose(1, 0, 2)
-        grid = self._on_grid(np.where(meets == LIGHT, value, 0), above, len(rows))
-        lit = grid.reshape(-1, cells) @ self.to_light.astype(np.float32)
-        return lit.reshape(len(LOBES), len(rows), -1)
+            met = np.flatnonzero(meets == GROUND)
+            radiance = self.ground_seen[self.rows.point[row[met]], cell[met]]
+            reflected.from_ground(row[met], radiance, value[:, met])
 
-    def _on_grid(self, value: np.ndarray, above: np.ndarray, rows: int) -> np.ndarray:
-        """Values (4, k) of the lanes `above` (k,) of all rows and cells as (4, rows, cells), 0 in
-        the others.
-        """
-        grid = np.zeros((len(LOBES), rows * len(self.cell_direction)), np.float32)
-        grid[:, above] = value
-        return grid.reshape(len(LOBES), rows, -1)
+        lit = np.where(meets == LIGHT, value, 0)
+        T = self.to_light
+        spread_onto(reflected.F, lit, row, cell, T.indptr, T.indices, T.data)
 
     def _local_cells(self, rows: np.ndarray) -> np.ndarray:
         """The grid's directions in the frames of the rays that look at them, (3, rows x cells)."""
@@ -383,17 +395,11 @@ class Transport:
             local[:, :, mine] = seen.transpose(1, 0, 2)
         return local.reshape(3, -1)
 
-    def _add_highlights(
-        self,
-        lobes: PrincipledLobes,
-        F: np.ndarray,
-        blocked: BlockedLight,
-        of_ground: np.ndarray,
-        seed: int,
-    ) -> None:
-        """Add the highlight's own directions to F (in place), balance heuristic against the grid's;
-        what the object hides goes to `blocked`, what the ground gives to `of_ground` (4, n, 3).
+    def _add_highlights(self, reflected: Reflected, seed: int) -> None:
+        """Add what comes from the highlight's own directions, balance heuristic against the
+        grid's.
         """
+        lobes = reflected.lobes
         row = np.repeat(np.arange(len(self.rows.point)), HIGHLIGHT_SAMPLES)
         ray = np.arange(len(row)) % self.frame.shape[1]
         si = self._interaction(row, ray)
@@ -414,18 +420,17 @@ class Transport:
 
         free = np.flatnonzero(meets == LIGHT)
         pixel, weight = bilinear(direction[free], self.h)
-        for lobe in range(len(LOBES)):
-            added = (value[lobe, free, None] * weight).astype(np.float32)
-            np.add.at(F[lobe], (row[free][:, None], pixel), added)
+        pointer, weight = pixel.shape[1] * np.arange(len(free) + 1), weight.astype(np.float32)
+        lit, every = value[:, free].astype(np.float32), np.arange(len(free))
+        spread_onto(reflected.F, lit, row[free], every, pointer, pixel.ravel(), weight.ravel())
 
         off_object = np.flatnonzero(meets >= 0)
-        blocked.add(row[off_object], meets[off_object], value[:, off_object])
+        reflected.block(row[off_object], meets[off_object], value[:, off_object])
         if self.ground is not None:
             met = np.flatnonzero(meets == GROUND)
             start = self.ray_position[row[met], ray[met]]
             radiance = self.ground.seen(start, direction[met])[1]
-            for lobe in range(len(LOBES)):
-                np.add.at(of_ground[lobe], row[met], value[lobe, met, None] * radiance)
+            reflected.from_ground(row[met], radiance, value[:, met])
 
     def _solid_angle_around(self, direction: np.ndarray) -> np.ndarray:
         """Solid angle (k,) of the grid's cell that each direction (k, 3) falls into."""
@@ -435,7 +440,7 @@ class Transport:
 
     def irradiance(self, light: np.ndarray) -> np.ndarray:
         """Of the nodes by a light (M, 3) and the ground, (q, 3), over pi: what white ones give."""
-        return self.sees @ light.astype(np.float32) + self.ground_light
+        return lit_by(light, self.sees) + self.ground_light
 
     def exitant(self, irradiance: np.ndarray, albedo: np.ndarray, bounces: int) -> np.ndarray:
         """Radiance (q, 3) that the nodes give off under `irradiance` (q, 3), for diffuse albedo (p,

@@ -75,7 +75,7 @@ def test_kernels_change_no_state_they_are_given(problem, start):
         rng, model, state = set_up(problem, load_prior("prior_small"), start[0], SMALL, seeded(0))
         before = fingerprint(state)
         light = np.ones((2 * SMALL.light**2, 3))
-        value = RowLikelihood.of(model.mixer, state).value(light)
+        value = RowLikelihood.of(model.mixer, state).under(light).value()
 
         rng = pickle.dumps((rng.numpy, rng.torch.get_state()))
         ends = []
@@ -89,8 +89,8 @@ def test_kernels_change_no_state_they_are_given(problem, start):
 
     assert fingerprint(ends[0]) == fingerprint(ends[1]) != before
     assert fingerprint(state) == before
-    assert RowLikelihood.of(model.mixer, state).value(light) == value
-    assert RowLikelihood.of(model.mixer, ends[0]).value(light) != value
+    assert RowLikelihood.of(model.mixer, state).under(light).value() == value
+    assert RowLikelihood.of(model.mixer, ends[0]).under(light).value() != value
 
 
 @pytest.fixture

@@ -44,20 +44,20 @@ def test_seen_rows_are_part_of_the_expansion(with_sights, rows, light):  # noqa:
     seen = with_sights.data.seen_light
     assert 0 < len(seen.pixel) < len(light) and seen.clipped.any()
     dim = 0.7 * light
-    expected = rows.value(dim) - 0.5 * (seen.residual(dim) ** 2).sum()
-    assert with_sights.value(dim) == pytest.approx(expected)
+    expected = rows.under(dim).value() - 0.5 * (seen.residual(dim) ** 2).sum()
+    assert with_sights.under(dim).value() == pytest.approx(expected)
 
-    T, r, V = with_sights.expansion(dim)
+    T, r, V = with_sights.under(dim).expansion()
     n = len(rows.data.observed)
     assert T.shape[1] == r.shape[1] == V.shape[1] == n + len(seen.pixel)
-    assert torch.equal(r, with_sights.residual(dim))
-    assert torch.equal(T[:, :n], rows.expansion(dim)[0])
+    assert torch.equal(r, with_sights.under(dim).residual)
+    assert torch.equal(T[:, :n], rows.under(dim).expansion()[0])
     for c in range(3):
         by_row = r[c, n:].numpy()
         np.testing.assert_allclose(by_row, seen.residual(dim)[:, c], rtol=1e-5)
 
     w = torch.randn(r.shape, generator=torch_rng(0))
-    of_light, of_colors = with_sights.adjoint(dim, w)
+    of_light, of_colors = with_sights.under(dim).adjoint(w)
     assert torch.allclose(of_light, torch.einsum("cnm,cn->cm", T, w), atol=1e-3)
     assert torch.allclose(of_colors, torch.einsum("cnr,cn->cr", V, w), atol=1e-3)
 
@@ -78,7 +78,7 @@ def test_saturated_sky_is_a_lower_bound(with_sights, light):  # noqa: F811
 def test_without_sightings_there_are_no_rows(rows, light):  # noqa: F811
     none = SeenLight.of(None, 8)
     assert len(none.pixel) == 0 and none.value(light) == 0
-    assert rows.expansion(light)[0].shape[1] == len(rows.data.observed)
+    assert rows.under(light).expansion()[0].shape[1] == len(rows.data.observed)
 
 
 def test_gauge_is_bound_by_what_is_seen(rows, light):  # noqa: F811

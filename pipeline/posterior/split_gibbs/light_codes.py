@@ -13,13 +13,14 @@ prior about a given code.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import torch
 
 from pipeline.posterior.problem import ALBEDO_MAX
-from pipeline.posterior.split_gibbs.likelihood import RowLikelihood
+from pipeline.posterior.split_gibbs.likelihood import RowLikelihood, RowsUnder
 from pipeline.posterior.split_gibbs.material_prior import log_prior
 from pipeline.posterior.split_gibbs.pooling import Fold, Pool, Whole, pooled
 from pipeline.prior.gaussian import GaussianPrior
@@ -86,13 +87,12 @@ class Decoder:
         """Radiance (3, M) as the operator's light (M', 3)."""
         return self.pool.down(radiance).T.numpy().astype(np.float64)
 
-    def slopes(self, code: torch.Tensor, log_scale: float) -> tuple[torch.Tensor, torch.Tensor]:
-        """Radiance (3, M) and its derivative in the code (3, M); decoding is elementwise."""
+    def slope(self, code: torch.Tensor, log_scale: float) -> torch.Tensor:
+        """Derivative (3, M) of the radiance in the code (3, M); decoding is elementwise."""
         with torch.enable_grad():
             leaf = code.clone().requires_grad_(True)
-            radiance = self.radiance(leaf, log_scale)
-            (slope,) = torch.autograd.grad(radiance.sum(), leaf)
-        return radiance.detach(), slope
+            (slope,) = torch.autograd.grad(self.radiance(leaf, log_scale).sum(), leaf)
+        return slope
 
 
 @dataclass(frozen=True)
@@ -253,46 +253,66 @@ class CodeLikelihood:
     decoder: Decoder
     unknowns: PixelUnknowns | ModeUnknowns
     log_scale: float
+    last: list[AtCode] = field(default_factory=list, compare=False)
 
-    def at(self, z: torch.Tensor) -> RowLikelihood:
-        """The rows with the colours of z."""
-        return self.rows.recolored(self.unknowns.colors(z))
-
-    def light(self, z: torch.Tensor) -> np.ndarray:
-        """The operator's light (M', 3) of z."""
-        return self.decoder.light(self.unknowns.code(z), self.log_scale)
-
-    def color_slope(self, rows: RowLikelihood) -> torch.Tensor:
-        """d log mu / d z of the colours' numbers, (3, R)."""
-        return torch.from_numpy(steepness(rows.materials.color).T.astype(np.float32))
+    def at(self, z: torch.Tensor) -> AtCode:
+        """The likelihood about z; that of the last z is remembered, for a step asks for the value,
+        the residual and the slope at the same one.
+        """
+        if not self.last or self.last[0].z is not z:
+            self.last[:] = [AtCode(self, z)]
+        return self.last[0]
 
     def value(self, z: torch.Tensor) -> float:
         """Log-likelihood and exact prior of the colours, less the reference Gaussian's."""
-        rows, width = self.at(z), self.unknowns.width
-        materials = rows.materials
-        roughness = rows.data.lobes.roughness
+        here, width = self.at(z).under, self.unknowns.width
+        materials, roughness = here.rows.materials, here.rows.data.lobes.roughness
         prior = log_prior(materials, roughness) + float(np.log(steepness(materials.color)).sum())
         reference = 0.5 * float(self.unknowns.numbers(z).square().sum()) / width**2
-        return rows.value(self.light(z)) + prior + reference
+        return here.value() + prior + reference
 
     def residual(self, z: torch.Tensor) -> torch.Tensor:
         """Of `expansion`."""
-        return self.unknowns.flat(self.at(z).residual(self.light(z)))
+        return self.unknowns.flat(self.at(z).under.residual)
 
     def adjoint(self, z: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
         """Of `expansion`, for w like its residual: like z."""
-        rows = self.at(z)
-        steep = self.color_slope(rows)
-        radiance, slope = self.decoder.slopes(self.unknowns.code(z), self.log_scale)
-        light, colors = rows.adjoint(self.decoder.pooled(radiance), w.reshape(3, -1))
-        scaled = colors * steep * (COLOR_SPREAD / self.unknowns.width)
-        return self.unknowns.gathered(self.decoder.pool.up(light) * slope, scaled)
+        here = self.at(z)
+        light, colors = here.under.adjoint(w.reshape(3, -1))
+        slope = self.decoder.pool.up(light) * here.slope
+        return self.unknowns.gathered(slope, colors * here.color_slope)
 
     def expansion(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, Fold | Whole]:
         """Gauss-Newton: J, r and fold, see `gaussian_approximation.LightLikelihood`."""
-        rows = self.at(z)
-        steep = self.color_slope(rows)[:, None]
-        radiance, slope = self.decoder.slopes(self.unknowns.code(z), self.log_scale)
-        T, r, V = rows.expansion(self.decoder.pooled(radiance))
-        scaled = V * steep * (COLOR_SPREAD / self.unknowns.width)
-        return self.unknowns.assembled(self.decoder.pool, slope, T, r, scaled)
+        here = self.at(z)
+        T, r, V = here.under.expansion()
+        scaled = V * here.color_slope[:, None]
+        return self.unknowns.assembled(self.decoder.pool, here.slope, T, r, scaled)
+
+
+@dataclass(frozen=True)
+class AtCode:
+    """A CodeLikelihood about one z: what its parts share is worked out once."""
+
+    likelihood: CodeLikelihood
+    z: torch.Tensor
+
+    @cached_property
+    def under(self) -> RowsUnder:
+        """The rows with the colours of z, about its light."""
+        known = self.likelihood
+        rows = known.rows.recolored(known.unknowns.colors(self.z))
+        code = known.unknowns.code(self.z)
+        return rows.under(known.decoder.light(code, known.log_scale))
+
+    @cached_property
+    def slope(self) -> torch.Tensor:
+        """Of the radiance in the code, (3, M)."""
+        known = self.likelihood
+        return known.decoder.slope(known.unknowns.code(self.z), known.log_scale)
+
+    @cached_property
+    def color_slope(self) -> torch.Tensor:
+        """d log mu / d z of the colours' numbers, (3, R)."""
+        steep = torch.from_numpy(steepness(self.under.rows.materials.color).T.astype(np.float32))
+        return steep * (COLOR_SPREAD / self.likelihood.unknowns.width)

@@ -14,9 +14,12 @@ import torch
 from scipy import sparse
 
 from pipeline.posterior.problem import ALBEDO_MAX
+from pipeline.posterior.seen_light import SeenLight
 from pipeline.posterior.split_gibbs.lobes import LobeTable, mix, neighbours
+from pipeline.posterior.split_gibbs.row_loops import mix_into, seen_rows, whitened_into
 from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials, State
+from pipeline.render.light_grid import lit_by
 
 
 def point_materials(
@@ -47,11 +50,7 @@ def seen_by(
     data: RowData, seen: np.ndarray, materials: RegionMaterials, offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """U and W (n, 3) from what every lobe sees of the light, `seen` (steps, 4, n, 3)."""
-    roughness, metallic = (
-        values[data.rows.point] for values in point_lobes(data, materials, offsets)
-    )
-    lobes = seen[roughness, :, np.arange(seen.shape[2])].transpose(1, 0, 2)
-    return mix(lobes, metallic[:, None])
+    return seen_rows(seen, *point_lobes(data, materials, offsets), data.bounds)
 
 
 @dataclass(frozen=True)
@@ -75,12 +74,13 @@ def mixed(data: RowData, roughness: np.ndarray, metallic: np.ndarray) -> Mixed:
 
     step = roughness[data.rows.point]
     m = metallic[data.rows.point]
-    for k in np.unique(step):
-        index = torch.from_numpy(np.flatnonzero(step == k))
-        of_rows = torch.from_numpy(m[step == k].astype(np.float32))[:, None]
-        U[index], W[index] = mix(lobes.at(k, index), of_rows)
-
     low, high, way = neighbours(step, len(lobes.off))
+    for k in np.unique(low):
+        index = np.flatnonzero(low == k)
+        below, above = lobes.direct[k].numpy(), lobes.direct[high[index[0]]].numpy()
+        between, kind = way[index].astype(np.float32), m[index].astype(np.float32)
+        mix_into(below, above, between, kind, index, U.numpy(), W.numpy())
+
     for k in np.union1d(low, high[way > 0]):
         part = np.where(low == k, 1 - way, 0) + np.where(high == k, way, 0)
         black, white = (sparse.diags(part * of_kind) for of_kind in (1 - m, m))
@@ -127,6 +127,16 @@ class Whitener:
 
     def transposed(self, x: torch.Tensor) -> torch.Tensor:
         return self.without(x) * self.scale
+
+    def of_sum(
+        self, mixed: Mixed, color: np.ndarray, bounds: np.ndarray, out: torch.Tensor
+    ) -> None:
+        """The whitened rows color U + W of the matrices `mixed`, color (n,), written to `out` (n,
+        M).
+        """
+        scale, unit, shrink = (x[:, 0].numpy() for x in (self.scale, self.unit, self.shrink))
+        U, W, color = mixed.U.numpy(), mixed.W.numpy(), color.astype(np.float32)
+        whitened_into(U, W, color, scale, unit, shrink, bounds, out.numpy())
 
 
 def whiteners(
@@ -206,15 +216,18 @@ class RowLikelihood:
 
     def lit(self, light: np.ndarray) -> LitRows:
         """The rows under a light."""
-        L, m = light.astype(np.float32), self.matrices
-        # numpy: 3 times faster than torch on so few columns
-        U, W = m.U.numpy() @ L, m.W.numpy() @ L
+        m = self.matrices
+        U, W = lit_by(light, m.U.numpy()), lit_by(light, m.W.numpy())
         of_ground = self.data.transport.ground_light
         return LitRows(self, U, W, self.irradiance(light) - of_ground, of_ground)
 
+    def under(self, light: np.ndarray) -> RowsUnder:
+        """The rows and what they see of a light."""
+        return RowsUnder(self, light)
+
     def predict(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """U and W applied to a light, (n, 3) each, light off the object included."""
-        return self.lit(light).seen(self.materials.color, np.ones(3))
+        return self.under(light).seen
 
     def draw_colors(
         self, light: np.ndarray, rng: np.random.Generator
@@ -225,69 +238,85 @@ class RowLikelihood:
         U, W = self.predict(light)
         return U, W, self.model.draw_colors(U, W, self.materials, rng)
 
-    def value(self, light: np.ndarray) -> float:
-        """Log-likelihood of a light, by what it does to the object and by what is seen of it."""
-        of_rows = float(self.model.point_values(*self.predict(light), self.materials).sum())
-        return of_rows + self.data.seen_light.value(light)
 
-    def residual(self, light: np.ndarray) -> torch.Tensor:
+@dataclass(frozen=True)
+class RowsUnder:
+    """Rows about a light (M, 3): what several questions about it share is worked out once."""
+
+    rows: RowLikelihood
+    light: np.ndarray
+
+    @cached_property
+    def seen(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the lobes see, U and W (n, 3)."""
+        return self.rows.lit(self.light).seen(self.rows.materials.color, np.ones(3))
+
+    @cached_property
+    def whiteners(self) -> list[Whitener]:
+        """Of every channel."""
+        return whiteners(self.rows.model, *self.seen, self.rows.materials)
+
+    @property
+    def row_color(self) -> np.ndarray:
+        """Mean base colour (n, 3) of every row's region."""
+        return self.rows.materials.color[self.rows.data.row_region]
+
+    @property
+    def seen_light(self) -> SeenLight:
+        """The pixels of the light that photos show."""
+        return self.rows.data.seen_light
+
+    def value(self) -> float:
+        """Log-likelihood of the light, by what it does to the object and by what is seen of it."""
+        of_rows = self.rows.model.point_values(*self.seen, self.rows.materials)
+        return float(of_rows.sum()) + self.seen_light.value(self.light)
+
+    @cached_property
+    def residual(self) -> torch.Tensor:
         """r (3, n + s) of `expansion`, without building T."""
-        U, W = self.predict(light)
-        rest = torch.from_numpy(self.model.rest(U, W, self.materials).astype(np.float32))
-        by_channel = enumerate(whiteners(self.model, U, W, self.materials))
-        of_rows = torch.stack([whiten(rest[:, c : c + 1])[:, 0] for c, whiten in by_channel])
-        seen = torch.from_numpy(self.data.seen_light.residual(light).T.astype(np.float32))
+        rest = self.rows.model.rest(*self.seen, self.rows.materials).astype(np.float32)
+        by_channel = zip(self.whiteners, torch.from_numpy(rest).split(1, 1))
+        of_rows = torch.stack([whiten(column)[:, 0] for whiten, column in by_channel])
+        if not len(self.seen_light.pixel):
+            return of_rows
+        seen = torch.from_numpy(self.seen_light.residual(self.light).T.astype(np.float32))
         return torch.cat([of_rows, seen], 1)
 
-    def adjoint(self, light: np.ndarray, w: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def adjoint(self, w: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """T^T w (3, M) and V^T w (3, R) of `expansion` for w (3, n + s), without building T."""
-        U, W = self.predict(light)
-        seen = self.data.seen_light
+        (U, _), mu, seen = self.seen, self.row_color, self.seen_light
+        matrices, data = self.rows.matrices, self.rows.data
         w, of_seen = w[:, : len(U)], w[:, len(U) :].numpy()
-        mu = self.materials.color[self.data.row_region]
-        by_channel = enumerate(whiteners(self.model, U, W, self.materials))
+        by_channel = enumerate(self.whiteners)
         t = np.stack([whiten.transposed(w[c][:, None])[:, 0].numpy() for c, whiten in by_channel])
-        T = (t * mu.T.astype(np.float32)) @ self.matrices.U.numpy() + t @ self.matrices.W.numpy()
-        T[:, seen.pixel] += of_seen * seen.counted(light).T.astype(np.float32)
-        regions = len(self.materials)
-        V = np.stack(
-            [
-                np.bincount(self.data.row_region, t[c] * mu[:, c] * U[:, c], regions)
-                for c in range(3)
-            ]
-        )
+        T = (t * mu.T.astype(np.float32)) @ matrices.U.numpy() + t @ matrices.W.numpy()
+        T[:, seen.pixel] += of_seen * seen.counted(self.light).T.astype(np.float32)
+        regions = len(self.rows.materials)
+        weighted = (t[c] * mu[:, c] * U[:, c] for c in range(3))
+        V = np.stack([np.bincount(data.row_region, column, regions) for column in weighted])
         return torch.from_numpy(T), torch.from_numpy(V.astype(np.float32))
 
-    def expansion(self, light: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def expansion(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """T (3, n + s, M), r (3, n + s), V (3, n + s, R): log-likelihood ~ -|r - T dL - V d|^2 / 2
         for a change dL of the light and regions whose log mean colour moves by d; the last s rows
         are those of the light that is seen.
 
         T is the direct part of the transport, and the bounds of base colours are left out.
         """
-        U, W = self.predict(light)
-        mu = self.materials.color[self.data.row_region]
-        rest = self.model.rest(U, W, self.materials)
-        rows, regions = len(mu), len(self.materials)
-
-        column = lambda x: torch.from_numpy(x.astype(np.float32))[:, None]
-        T = torch.empty((3,) + self.matrices.U.shape)
-        r = torch.empty(3, rows)
-        V = torch.zeros(3, rows, regions)
-        for c, whiten in enumerate(whiteners(self.model, U, W, self.materials)):
-            T[c] = whiten(column(mu[:, c]) * self.matrices.U + self.matrices.W)
-            r[c] = whiten(column(rest[:, c]))[:, 0]
-            by_region = torch.from_numpy((mu[:, c] * U[:, c]).astype(np.float32))
-            V[c][np.arange(rows), self.data.row_region] = by_region
-            V[c] = whiten(V[c])
-
-        seen = self.data.seen_light
-        if not len(seen.pixel):
-            return T, r, V
-        of_seen = torch.from_numpy(seen.residual(light).T.astype(np.float32))
-        blank = torch.zeros(3, len(seen.pixel), regions)
-        together = lambda *parts: torch.cat(parts, 1)
-        return together(T, seen.rows(light)), together(r, of_seen), together(V, blank)
+        (U, _), mu, data = self.seen, self.row_color, self.rows.data
+        matrices, seen = self.rows.matrices, self.seen_light
+        rows = len(U)
+        T = torch.empty(3, rows + len(seen.pixel), len(self.light))
+        V = torch.zeros(3, len(T[0]), len(self.rows.materials))
+        for c, whiten in enumerate(self.whiteners):
+            whiten.of_sum(matrices, mu[:, c], data.bounds, T[c, :rows])
+            by_region = torch.zeros(rows, V.shape[2])
+            of_rows = torch.from_numpy((mu[:, c] * U[:, c]).astype(np.float32))
+            by_region[np.arange(rows), data.row_region] = of_rows
+            V[c, :rows] = whiten(by_region)
+        if len(seen.pixel):
+            T[:, rows:] = seen.rows(self.light)
+        return T, self.residual, V
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pipeline.render.light_grid import lit_by
 from pipeline.render.principled_lobes import blurred_roughness, lobe_albedo
 from pipeline.render.transport import Transport
 
@@ -107,15 +108,12 @@ class LobeTable:
         shown = np.log(blurred_roughness(np.array(roughness)[:, None], spreads))
         blurred = np.abs(shown[..., None] - log_roughness).argmin(-1)
 
-        direct, off = [], []
         # sharper lobes than the first of these are never shown: it stands in their place
         sharpest = blurred.min() // BETWEEN
-        for k, r in enumerate(traced[sharpest:], sharpest):
-            F, G = transport.at(r, seed * 101 + k)
-            direct.append(torch.from_numpy(F))
-            off.append(G)
-        direct = direct[:1] * sharpest + direct
-        off = off[:1] * sharpest + off
+        seeds = [seed * 101 + k for k in range(sharpest, len(traced))]
+        matrices = transport.at_each(traced[sharpest:], seeds)
+        lobes = [(torch.from_numpy(F), G) for F, G in matrices]
+        direct, off = map(list, zip(*lobes[:1] * sharpest, *lobes))
 
         albedo = interpolated(np.stack([lobe_albedo(r) for r in traced]))
         most_metallic = np.array(
@@ -139,8 +137,8 @@ class LobeTable:
         """(steps, 4, n, 3): what every lobe sees of a light (M, 3) and of the exitant radiance of
         the nodes (q, 3).
         """
-        L = light.astype(np.float32)
         traced = [
-            F.numpy() @ L + np.stack([g @ nodes for g in G]) for F, G in zip(self.direct, self.off)
+            np.stack([lit_by(light, f) + g @ nodes for f, g in zip(F.numpy(), G)])
+            for F, G in zip(self.direct, self.off)
         ]
         return interpolated(np.stack(traced))

@@ -35,6 +35,7 @@ from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.posterior.seen_light import SeenLight
 from pipeline.posterior.split_gibbs.coherence import Neighbours
 from pipeline.posterior.split_gibbs.lobes import LobeTable
+from pipeline.posterior.split_gibbs.row_loops import sums_by_point
 from pipeline.posterior.split_gibbs.state import Noise, RegionMaterials
 from pipeline.render.rows import Rows
 from pipeline.render.surroundings import Sightings
@@ -109,6 +110,11 @@ class RowData:
         return self.rows.starts
 
     @cached_property
+    def bounds(self) -> np.ndarray:
+        """Where the rows of each point begin, and the last one's end (p + 1,)."""
+        return np.append(self.starts, len(self.observed))
+
+    @cached_property
     def row_region(self) -> np.ndarray:
         """Region of every row (n,)."""
         return self.region[self.rows.point]
@@ -137,7 +143,7 @@ class RowModel:
             replace(self.data, point_weight=even), replace(self.noise, design_effect=1.0)
         )
 
-    @property
+    @cached_property
     def precision(self) -> np.ndarray:
         """1 / variance of each row and channel (n, 3), whether it counts or not."""
         weight = self.noise.weight * self.data.told
@@ -145,11 +151,11 @@ class RowModel:
 
     def counted(self, U: np.ndarray, W: np.ndarray, materials: RegionMaterials) -> np.ndarray:
         """`precision` (n, 3) without the saturated values that U and W explain."""
-        precision = self.precision
         clipped = self.data.clipped
         if not clipped.any():
-            return precision
+            return self.precision
 
+        precision = self.precision.copy()
         lower = precision[clipped]
         precision[clipped] = 0
         sums = self.sums(U, self.rest(U, W, materials), precision)
@@ -199,15 +205,15 @@ class RowModel:
 
         Saturated rows always count in the determinant, so that none gains by falling silent.
         """
-        v = self.variance(materials)
-        precision = self.counted(U, W, materials)
-        rest = self.rest(U, W, materials)
-        q, g = self.sums(U, rest, precision)
-        s = self.thinned(precision * rest**2)
-        all_q = self.thinned(self.precision * U * U) if self.data.clipped.any() else q
+        data, v = self.data, self.variance(materials)
+        weight = data.point_weight / self.noise.design_effect
+        mu = materials.color[data.region]
+        q, g, s, all_q = sums_by_point(
+            U, W, data.observed, data.clipped, self.precision, mu, v, weight, data.bounds
+        )
 
         possible = log_possible(*self.colors(q, g, materials))
-        positive = special.log_ndtr(1 / materials.spread)[self.data.region, None]
+        positive = special.log_ndtr(1 / materials.spread)[data.region, None]
         fit = -0.5 * (s - v * g * g / (1 + v * q))
         return (fit - 0.5 * np.log1p(v * all_q) + possible - positive).sum(1)
 

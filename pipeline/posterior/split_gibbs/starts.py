@@ -24,7 +24,7 @@ import torch
 from pipeline.posterior.split_gibbs.coherence import Neighbours
 from pipeline.posterior.split_gibbs.gaussian_approximation import cholesky
 from pipeline.posterior.split_gibbs.light_codes import Decoder, Modes, ModeUnknowns
-from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood
+from pipeline.posterior.split_gibbs.likelihood import Mixer, RowLikelihood, RowsUnder
 from pipeline.posterior.split_gibbs.lobes import LobeTable
 from pipeline.posterior.split_gibbs.pooling import pooled
 from pipeline.posterior.split_gibbs.row_model import RowData, RowModel
@@ -98,13 +98,15 @@ class FewRows:
                 rows = RowLikelihood.at(self.mixer, noise, materials, offsets)
                 light = self.decoder.light(self.unknowns.code(c[None]), self.log_scale)
                 materials = fitted_color(rows.model, materials, *rows.predict(light))
-                c = self.stepped(replace(rows, materials=materials), c)
+                c = self.stepped(replace(rows, materials=materials).under(light), c)
         return materials, self.unknowns.code(c[None])
 
-    def stepped(self, rows: RowLikelihood, c: torch.Tensor) -> torch.Tensor:
-        """Coefficients (K,) after one step, no mode moved by more than LONGEST."""
-        radiance, slope = self.decoder.slopes(self.unknowns.code(c[None]), self.log_scale)
-        T, r, _ = rows.expansion(self.decoder.pooled(radiance))
+    def stepped(self, rows: RowsUnder, c: torch.Tensor) -> torch.Tensor:
+        """Coefficients (K,) after one step from c, whose light the rows are under; no mode is moved
+        by more than LONGEST.
+        """
+        slope = self.decoder.slope(self.unknowns.code(c[None]), self.log_scale)
+        T, r, _ = rows.expansion()
         moved = self.unknowns.modes.moved(slope)
         J = torch.einsum("cnm,ckm->cnk", T, moved).reshape(-1, len(c))
         factor = cholesky(torch.eye(len(c)) + J.T @ J)

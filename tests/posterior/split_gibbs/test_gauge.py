@@ -96,7 +96,7 @@ def over_a_grid(rows: RowLikelihood, centre: float, weight: float = 1.0) -> tupl
         moved = rows.recolored(rows.materials.color * np.exp(-s))
         prior = log_prior(moved.materials, rows.data.lobes.roughness)
         scale = 0.5 * ((s - centre) / SCALE_PRIOR) ** 2
-        return weight * moved.value(even() * np.exp(s)) + prior - scale
+        return weight * moved.under(even() * np.exp(s)).value() + prior - scale
 
     grid = np.linspace(-0.25, 2.0, 451)
     density = np.array([log_density(s) for s in grid])

@@ -68,8 +68,8 @@ def test_expansion_is_the_derivative(likelihood):
     z = unknowns_at(likelihood, noise, 0.3)
     step = colours_held(likelihood, 1e-2 * torch.randn(z.shape, generator=noise))
     J, _, fold = likelihood.expansion(z)
-    T = likelihood.at(z).expansion(likelihood.light(z))[0]
-    moved = likelihood.light(z + step) - likelihood.light(z - step)
+    T = likelihood.at(z).under.expansion()[0]
+    moved = likelihood.at(z + step).under.light - likelihood.at(z - step).under.light
     expected = torch.einsum("cnm,cm->cn", T, torch.from_numpy(moved.T / 2).float()).reshape(-1)
     found = torch.cat([j @ d for j, d in zip(J, fold.down(step))])
     assert float((found - expected).norm() / expected.norm()) < 0.02
@@ -89,7 +89,7 @@ def test_colour_columns_are_the_derivative(likelihood):
     def value(e):
         moved = z.clone()
         moved[-1, -1] += e
-        return known.at(moved).value(known.light(moved))
+        return known.at(moved).under.value()
 
     numeric = (value(1e-2) - value(-1e-2)) / 2e-2
     assert abs(numeric - slope) < 0.05 * abs(slope) + 0.5
@@ -106,12 +106,13 @@ def test_value_counts_the_prior_of_the_colours(likelihood):
     numbers = unknowns.numbers(z)
 
     def log_density(of_z):
-        rows = likelihood.at(of_z)
+        here = likelihood.at(of_z).under
+        rows = here.rows
         moved = of_z.clone()
         unknowns.numbers(moved)[:] += 1e-3
         log_slope = np.log(np.log(unknowns.colors(moved) / unknowns.colors(of_z)) / 1e-3).sum()
         prior = log_prior(rows.materials, rows.data.lobes.roughness)
-        return rows.value(likelihood.light(of_z)) + prior + log_slope
+        return here.value() + prior + log_slope
 
     other = z.clone()
     unknowns.numbers(other)[:] = numbers - 0.05

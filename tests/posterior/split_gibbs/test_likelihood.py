@@ -38,7 +38,7 @@ def dense_value(rows, light) -> float:
 
 
 def test_colour_is_integrated_out_exactly(rows, light):
-    value = rows.value(light)
+    value = rows.under(light).value()
     assert abs(value - dense_value(rows, light)) < 1e-6 * abs(value) + 1e-6
 
 
@@ -48,14 +48,14 @@ def test_whitened_rows_have_the_likelihoods_curvature(rows, light):
     """
     known = flat(rows)
     other = numpy_rng(5).uniform(0.1, 2, (128, 3))
-    T, r, _ = known.expansion(light)
+    T, r, _ = known.under(light).expansion()
 
     def square(L):
         step = torch.from_numpy((L - light).T.astype(np.float32))
         return -0.5 * float((r - torch.einsum("cnm,cm->cn", T, step)).square().sum())
 
-    change = known.value(light) - known.value(other)
-    assert abs((square(light) - square(other)) - change) < 1e-3 * abs(known.value(other))
+    change = known.under(light).value() - known.under(other).value()
+    assert abs((square(light) - square(other)) - change) < 1e-3 * abs(known.under(other).value())
 
 
 def test_saturated_rows_are_lower_bounds(rows, light):
@@ -66,20 +66,20 @@ def test_saturated_rows_are_lower_bounds(rows, light):
     clipped = np.arange(rows.data.observed.size).reshape(-1, 3) % 4 == 0
     bounded = with_data(plain, clipped=clipped)
     dark, bright = 1e-3 * light, 1e3 * light
-    assert np.isclose(bounded.value(dark), plain.value(dark))
-    assert torch.allclose(bounded.residual(dark), plain.residual(dark))
-    assert (bounded.residual(bright)[clipped.T] == 0).all()
-    assert (bounded.residual(bright)[~clipped.T] != 0).all()
+    assert np.isclose(bounded.under(dark).value(), plain.under(dark).value())
+    assert torch.allclose(bounded.under(dark).residual, plain.under(dark).residual)
+    assert (bounded.under(bright).residual[clipped.T] == 0).all()
+    assert (bounded.under(bright).residual[~clipped.T] != 0).all()
 
     ones = torch.ones(clipped.T.shape)
-    slope = bounded.adjoint(bright, ones)[0]
-    only = bounded.adjoint(bright, ones * torch.from_numpy(~clipped.T))[0]
+    slope = bounded.under(bright).adjoint(ones)[0]
+    only = bounded.under(bright).adjoint(ones * torch.from_numpy(~clipped.T))[0]
     assert torch.allclose(slope, only)
 
     clipped = np.repeat(np.arange(len(clipped))[:, None] % 3 == 0, 3, 1)
     bounded = with_data(plain, clipped=clipped)
     weight = np.where(clipped.any(1), rows.noise.weight * 2, rows.noise.weight)
     heavier = replace(bounded, noise=replace(rows.noise, weight=weight))
-    assert not np.isclose(heavier.value(dark), plain.value(dark))
-    before = bounded.value(bright)
-    assert abs(heavier.value(bright) - before) < 1e-3 * abs(before)  # the determinant alone
+    assert not np.isclose(heavier.under(dark).value(), plain.under(dark).value())
+    before = bounded.under(bright).value()
+    assert abs(heavier.under(bright).value() - before) < 1e-3 * abs(before)  # the determinant alone

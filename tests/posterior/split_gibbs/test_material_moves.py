@@ -57,6 +57,7 @@ SILENT = SimpleNamespace(
         observed=np.array([[0.3, 0.2, 0.1], [0.6, 0.6, 0.6]]),
         clipped=np.zeros((2, 3), bool),
         rows=SimpleNamespace(point=np.array([0, 1])),
+        bounds=np.arange(3),
         lobes=SimpleNamespace(
             roughness=ROUGHNESS, most_metallic=MOST_METALLIC, blurred=np.arange(8)[:, None]
         ),
@@ -295,6 +296,7 @@ class Two:
         self.data = SimpleNamespace(
             region=np.repeat([0, 1], 60),
             rows=SimpleNamespace(point=np.arange(120)),
+            bounds=np.arange(121),
             lobes=SimpleNamespace(
                 roughness=range(steps),
                 most_metallic=np.ones(steps),
