@@ -49,8 +49,9 @@ def hull_field(
     """
     out = np.empty(shape, np.float32)
     views, h, w = distances.shape
+    most = min(int(tolerance * views), MAX_IGNORED)
     for i in prange(shape[0]):
-        smallest = np.empty(MAX_IGNORED + 1, np.float32)
+        smallest = np.empty(most + 1, np.float32)
         for j in range(shape[1]):
             for k in range(shape[2]):
                 x = low[0] + (i + 0.5) * cell
@@ -58,6 +59,7 @@ def hull_field(
                 z = low[2] + (k + 0.5) * cell
                 smallest[:] = 1e9
                 seen = 0
+                outside = 0
                 for v in range(views):
                     m = matrices[v]
                     d = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
@@ -69,14 +71,20 @@ def hull_field(
                         continue
                     seen += 1
                     value = distances[v, r, u] * d / focal[v]
-                    if value < smallest[MAX_IGNORED]:
-                        p = MAX_IGNORED
+                    if value <= -truncation:
+                        outside += 1
+                        if outside > most:  # -1, whatever the other views say
+                            break
+                    if value < smallest[most]:
+                        p = most
                         while p > 0 and smallest[p - 1] > value:
                             smallest[p] = smallest[p - 1]
                             p -= 1
                         smallest[p] = value
-                ignored = min(int(tolerance * seen), MAX_IGNORED)
+                ignored = min(int(tolerance * seen), most)
                 value = smallest[ignored] / truncation if seen * 2 >= views else -1.0
+                if outside > most:
+                    value = -1.0
                 out[i, j, k] = min(max(value, -1.0), 1.0)
     return out
 

@@ -26,6 +26,9 @@ REACH = 5  # half width of a patch in pixels
 STEP = 2  # every second pixel of it is compared
 SIDE = len(range(-REACH, REACH + 1, STEP))
 SAMPLES = SIDE * SIDE
+# of every sample of a patch from its centre, row by row
+OFFSETS = np.arange(-REACH, REACH + 1, STEP, dtype=np.float32)
+RIGHT, DOWN = np.tile(OFFSETS, SIDE), np.repeat(OFFSETS, SIDE)
 BEST = 3  # other photos that count
 ONE = np.float32(1)  # an integer beside a float32 would make it a float64
 HALF = np.float32(0.5)
@@ -170,25 +173,25 @@ def photometric_cost(
     cross = np.float32(0)
     most_u = K[4] - np.float32(1.001)
     most_v = K[5] - np.float32(1.001)
-    k = 0
-    for row in range(SIDE):
-        dy = np.float32(row * STEP - REACH)
-        for column in range(SIDE):
-            dx = np.float32(column * STEP - REACH)
-            at_u = min(max(u + dx * ux + dy * uy, np.float32(0)), most_u)
-            at_v = min(max(v + dx * vx + dy * vy, np.float32(0)), most_v)
-            i = int(at_u)
-            j = int(at_v)
-            s = at_u - np.float32(i)
-            r = at_v - np.float32(j)
-            top = image[j, i] + s * (image[j, i + 1] - image[j, i])
-            bottom = image[j + 1, i] + s * (image[j + 1, i + 1] - image[j + 1, i])
-            value = top + r * (bottom - top)
-            weighted = patch.weights[k] * value
-            first += weighted
-            second += weighted * value
-            cross += weighted * patch.values[k]
-            k += 1
+    # one loop without a sign in its indices: compiled to steps of several samples at once
+    for k in range(SAMPLES):
+        at_u = min(max(u + RIGHT[k] * ux + DOWN[k] * uy, np.float32(0)), most_u)
+        at_v = min(max(v + RIGHT[k] * vx + DOWN[k] * vy, np.float32(0)), most_v)
+        column = np.int32(at_u)
+        row = np.int32(at_v)
+        s = at_u - np.float32(column)
+        r = at_v - np.float32(row)
+        i = np.uint32(column)
+        j = np.uint32(row)
+        i1 = i + np.uint32(1)
+        j1 = j + np.uint32(1)
+        top = image[j, i] + s * (image[j, i1] - image[j, i])
+        bottom = image[j1, i] + s * (image[j1, i1] - image[j1, i])
+        value = top + r * (bottom - top)
+        weighted = patch.weights[k] * value
+        first += weighted
+        second += weighted * value
+        cross += weighted * patch.values[k]
 
     spread = second - first * first
     if spread < PLAIN:
@@ -240,9 +243,16 @@ def reprojection_error(
 
 @njit(fastmath=True, cache=True)
 def plane_cost(
-    patch: Patch, plane: Plane, camera: np.ndarray, others: Others, costs: np.ndarray
+    patch: Patch,
+    plane: Plane,
+    camera: np.ndarray,
+    others: Others,
+    costs: np.ndarray,
+    limit: Single = WORST,
 ) -> Single:
-    """Mean of the BEST smallest costs over the other photos. `costs` (n,): working space."""
+    """Mean of the BEST smallest costs over the other photos; WORST as soon as it is sure not to be
+    below `limit`, whatever the rest of them say. `costs` (n,): working space.
+    """
     q0 = (np.float32(patch.x) + HALF - camera[2]) / camera[0]
     q1 = (np.float32(patch.y) + HALF - camera[3]) / camera[1]
     facing = plane.n0 * q0 + plane.n1 * q1 + plane.n2
@@ -250,6 +260,8 @@ def plane_cost(
         return WORST
 
     count = len(others.which)
+    best = min(BEST, count)
+    enough = limit * np.float32(best)
     for k in range(count):
         M = others.rotations[k]
         t = others.shifts[k]
@@ -267,7 +279,13 @@ def plane_cost(
             p -= 1
         costs[p] = cost
 
-    best = min(BEST, count)
+        # those that are still to come cost nothing at best
+        least = np.float32(0)
+        for p in range(best - (count - 1 - k)):
+            least += costs[p]
+        if least > enough:
+            return WORST
+
     total = np.float32(0)
     for k in range(best):
         total += costs[k]
@@ -413,7 +431,7 @@ def sweep(
                 else:
                     other, state = moved(plane, attempt - 8, width, near[y, x], far[y, x], state)
                     width *= HALF
-                found = plane_cost(patch, other, camera, others, costs)
+                found = plane_cost(patch, other, camera, others, costs, best)
                 if found < best:
                     best = found
                     plane = other

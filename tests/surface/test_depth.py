@@ -6,8 +6,8 @@ import pytest
 
 from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import Mesh, vertex_normals
-from pipeline.surface.depth import HullRange, depth_maps, neighbours, scale_for
-from pipeline.surface.patch_match import Plane, carried
+from pipeline.surface.depth import HullRange, Photos, depth_maps, neighbours, scale_for
+from pipeline.surface.patch_match import BEST, SAMPLES, WORST, Plane, carried, patch_at, plane_cost
 from tests.conftest import look_at
 from tests.seeds import numpy_rng, seeded
 
@@ -71,6 +71,28 @@ def test_depth_and_normals_of_a_painted_plane(slope):
         points, normals = world_points(depth)
         assert np.median(np.abs(points @ true)) < 0.006  # half a pixel is .005
         assert np.degrees(np.median(np.arccos(np.clip(normals @ true, -1, 1)))) < 8
+
+
+def test_a_plane_is_given_up_only_where_it_is_no_better():
+    """Planes right and wrong against a limit: below it the cost is what it is without one, else it
+    is WORST or no less than the limit; some are given up before all photos are looked at.
+    """
+    views = cameras()
+    photos = Photos.at(views, pictures(views, 0.0))
+    others = photos.others(1, [0, 2, 3, 4, 5], None)
+    space, costs = np.empty((2, SAMPLES), np.float32), np.empty(5, np.float32)
+    patch = patch_at(photos.images[1], *SIZE, 80, 60, *space)
+    rng, limit, given_up = numpy_rng(1), np.float32(0.2), 0
+    for wrong in (0.0, 0.002, 0.01, 0.05, 0.1, 0.2):
+        leaning = np.array([0, 0, -1]) + wrong * rng.normal(size=3)
+        normal = (leaning / np.linalg.norm(leaning)).astype(np.float32)
+        plane = Plane(np.float32(2 * (1 + wrong * rng.normal())), *normal)
+        whole = plane_cost(patch, plane, photos.cameras[1], others, costs)
+        assert whole == pytest.approx(np.sort(costs)[:BEST].mean(), abs=1e-6)
+        found = plane_cost(patch, plane, photos.cameras[1], others, costs, limit)
+        assert found == whole if whole < limit else found >= limit
+        given_up += found == WORST and whole < WORST
+    assert given_up > 0
 
 
 @pytest.mark.slow
