@@ -19,7 +19,8 @@ import cv2
 import numpy as np
 
 from pipeline.base.images import linear_to_srgb
-from pipeline.posterior.map_pixels import MapPixels
+from pipeline.posterior.map_pixels import MapPixels, single
+from pipeline.posterior.pixel_loops import weigh_into
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.posterior.shading import Shading
 from pipeline.posterior.textures import fill
@@ -113,18 +114,6 @@ def shared_between_photos(pixels: MapPixels, shading: Shading, metallic: np.ndar
     return Shading(scaled.astype(np.float32), shading.rest)
 
 
-def error_weight(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:
-    """Weight (n, 3) that makes a difference photo - picture count as that of log(. + SHADE), the
-    data term's relative error, does: a photo ten times as bright as the others does not count ten
-    times as much.
-    """
-    floored = np.maximum(picture, 0) + SHADE
-    more = (np.maximum(photo, 0) - np.maximum(picture, 0)) / floored
-    small = np.abs(more) < 1e-3
-    secant = np.log1p(more) / np.where(small, 1, more)
-    return np.where(small, 1, secant) / floored**2
-
-
 class ColorSolver:
     """Base colour maps for one shading of the observed pixels, from `begin` (t, t, 3)."""
 
@@ -151,14 +140,12 @@ class ColorSolver:
 
     def mean(self, weight: np.ndarray, photo: np.ndarray, sharpness: Sharpness) -> np.ndarray:
         """Colours (t, t, 3) of the photos (n, 3), pixels weighted by (n, 3)."""
-        onto, side = self.pixels.onto, self.pixels.size
-        lit = onto(weight * self.shading.scaled)
-        count = onto(np.asarray(weight[:, :1] > 0, np.float32))
-        color, picture = np.zeros((side, side, 3), np.float32), self.shading.rest
-        for k in range(1 + sharpness.passes):
-            if k:
-                picture = self.picture(color)
-            left = onto(weight * (photo - picture))
+        pixels, side = self.pixels, self.pixels.size
+        lit = pixels.onto(weight * self.shading.scaled)
+        count = pixels.onto(weight[:, :1] > 0)
+        color = np.zeros((side, side, 3), np.float32)
+        for _ in range(1 + sharpness.passes):
+            left = pixels.left_over(color, self.shading.scaled, self.shading.rest, photo, weight)
             color = color + coarse_to_fine(TexelSums(left, lit, count), sharpness.around)
             color = np.clip(color, 0, ALBEDO_MAX).astype(np.float32)
         return color
@@ -171,20 +158,17 @@ class ColorSolver:
         occlusion edges, slightly wrong cameras, highlights in the wrong place.
         """
         color = self.begin
-        # the first solve trusts all pixels: its errors are those of `begin`
-        cosine = self.pixels.cosine
-        known = cosine if unseen is None else np.where(unseen[:, None], 0, cosine)
-        trust = known
+        known = self.pixels.cosine[:, 0]
+        if unseen is not None:
+            known = np.where(unseen, np.float32(0), known)
         losses: list[float] = []
         for contradiction in CONTRADICTIONS:
             picture = self.picture(color)
-            photo = self.photo(picture)
-            if losses:
-                off = np.abs(log_error(picture, photo)).mean(1, keepdims=True) / contradiction
-                trust = known / (1 + off**2)
-            losses.append(float((((photo - picture) / (photo + SHADE)) ** 2).mean()))
-
-            weight = (trust * error_weight(picture, photo)).astype(np.float32)
+            photo = single(self.photo(picture))
+            weight = np.empty_like(photo)
+            # the first solve trusts all pixels: its errors are those of `begin`
+            doubt = contradiction if losses else np.inf
+            losses.append(weigh_into(picture, photo, known, doubt, SHADE, weight))
             color = self.mean(weight, photo, USUAL)
         return color, weight, losses[0]
 

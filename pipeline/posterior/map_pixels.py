@@ -6,30 +6,48 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.posterior.textures import bilinear_matrix, closed_gaps
+from pipeline.posterior.pixel_loops import gather_into, left_over_onto, scatter_onto
+from pipeline.posterior.textures import closed_gaps
 from pipeline.render.observe import Observations
 
 
 class MapPixels:
-    """The n observed pixels, and the texels of maps (size, size, c) that they show: `at_pixels`
-    (n, size^2) takes a map's texels to the pixels, `at_texels` is its transpose.
-    """
+    """The n observed pixels, and the texels of maps (size, size, c) that they show."""
 
     def __init__(self, observations: Observations, size: int):
         self.observations = observations
         self.size = size
-        self.at_pixels = bilinear_matrix(observations.uv, size)
-        self.at_texels = self.at_pixels.T.tocsr()
+        self.uv = np.ascontiguousarray(observations.uv, np.float32)
         # grazing views smear: their pixels cover many texels
         self.cosine: np.ndarray = observations.cosine[:, None].astype(np.float32)
 
     def of(self, image: np.ndarray) -> np.ndarray:
         """Bilinear values (n, c) of a map (size, size, c)."""
-        return self.at_pixels @ image.reshape(self.size**2, -1)
+        out = np.empty((len(self.uv), image.shape[2]), np.float32)
+        gather_into(single(image), self.uv, out)
+        return out
 
     def onto(self, values: np.ndarray) -> np.ndarray:
-        """Sums (size, size, c) over each texel's pixels of values (n, c)."""
-        return (self.at_texels @ values).reshape(self.size, self.size, -1)
+        """Sums (size, size, c) over each texel's pixels of values (n, c): `of`'s transpose."""
+        out = np.zeros((self.size, self.size, values.shape[1]), np.float32)
+        scatter_onto(self.uv, single(values), out)
+        return out
+
+    def left_over(
+        self,
+        color: np.ndarray,
+        scaled: np.ndarray,
+        rest: np.ndarray,
+        photo: np.ndarray,
+        weight: np.ndarray,
+    ) -> np.ndarray:
+        """`onto` of what photos (n, 3) show beyond the picture that a map (size, size, 3) makes
+        under a shading, D = scaled and S = rest (n, 3): weight (photo - (a D + S)).
+        """
+        out = np.zeros((self.size, self.size, 3), np.float32)
+        scaled, rest, photo, weight = map(single, (scaled, rest, photo, weight))
+        left_over_onto(self.uv, single(color), scaled, rest, photo, weight, out)
+        return out
 
     @cached_property
     def count(self) -> np.ndarray:
@@ -40,3 +58,8 @@ class MapPixels:
     def seen(self) -> np.ndarray:
         """Which texels are seen, (size, size): `textures.seen_texels`."""
         return closed_gaps(self.count[..., 0])
+
+
+def single(values: np.ndarray) -> np.ndarray:
+    """As the compiled loops take them: float32, one after the other."""
+    return np.ascontiguousarray(values, np.float32)

@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from pipeline.posterior.pixel_loops import add_moments, predict_into
 from pipeline.posterior.problem import Problem, renderer_seed
-from pipeline.posterior.textures import bilinear, gather
+from pipeline.posterior.textures import gather
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation
 
@@ -130,18 +131,10 @@ class Cells:
 
     def predict(self, at: np.ndarray, guide: np.ndarray) -> np.ndarray:
         """Values (n, c) at cell coordinates `at` (n, 2) with guides (n, g), interpolated between
-        cells by distance and weight.
+        cells by nearness and weight.
         """
-        rows, columns, terms, channels = self.coefficients.shape
-        weight = self.weight[..., None]
-        weighted = self.coefficients.reshape(rows, columns, -1) * weight
-        table = np.concatenate([weighted, weight], -1).reshape(rows * columns, -1)
-
-        total = bilinear(at[:, 0], at[:, 1], rows, columns) @ table.astype(np.float32)
-        local = (total[:, :-1] / np.maximum(total[:, -1:], 1e-12)).reshape(-1, terms, channels)
-        out = local[:, 0]
-        for k, value in enumerate(guide.T, 1):
-            out = out + value[:, None] * local[:, k]
+        out = np.empty((len(at), self.coefficients.shape[-1]))
+        predict_into(self.coefficients, self.weight, at, guide, out)
         return out
 
 
@@ -176,13 +169,10 @@ def cell_sums(
     """
     cell = np.clip(np.round(at).astype(int), 0, [columns - 1, rows - 1])
     number = cell[:, 1] * columns + cell[:, 0]
-    left = np.concatenate([np.ones((len(guide), 1)), guide], 1)
-    right = np.concatenate([left, values], 1)
+    g, c = guide.shape[1], values.shape[1]
+    sums = np.zeros((rows * columns, 1 + g, 1 + g + c))
+    add_moments(number, guide, values, sums)
 
-    sums = np.empty((rows, columns, left.shape[1], right.shape[1]))
-    for i, one in enumerate(left.T):
-        for j, other in enumerate(right.T):
-            image = np.bincount(number, one * other, rows * columns).reshape(rows, columns)
-            border = cv2.BORDER_CONSTANT
-            sums[..., i, j] = cv2.GaussianBlur(image, (0, 0), CELL_BLUR, borderType=border)
-    return sums
+    images = sums.reshape(rows, columns, -1)
+    images = cv2.GaussianBlur(images, (0, 0), CELL_BLUR, borderType=cv2.BORDER_CONSTANT)
+    return images.reshape(rows, columns, 1 + g, 1 + g + c)

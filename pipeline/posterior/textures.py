@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from scipy import ndimage, sparse
 
+from pipeline.posterior.pixel_loops import scatter_onto
+
 REMAP_SIDE = 16384  # cv2.remap takes no more than 32767 values a side
 
 
@@ -21,42 +23,27 @@ def texel_position(uv: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 def splat(uv: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
     """Add values (n, c) at uv (n, 2) bilinearly into a map (size, size, c)."""
-    x, y = texel_position(uv, size)
-    channels = values.shape[1]
-    total = np.zeros((size * size, channels))
-
-    for right, down in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        column = np.floor(x).astype(int) + right
-        row = np.floor(y).astype(int) + down
-        weight = (1 - np.abs(x - column)) * (1 - np.abs(y - row))
-        texel = np.clip(row, 0, size - 1) * size + np.clip(column, 0, size - 1)
-        for c in range(channels):
-            total[:, c] += np.bincount(texel, weight * values[:, c], size * size)
-    return total.reshape(size, size, -1)
+    total = np.zeros((size, size, values.shape[1]))
+    single = lambda array: np.ascontiguousarray(array, np.float32)
+    scatter_onto(single(uv), single(values), total)
+    return total
 
 
 def bilinear_matrix(uv: np.ndarray, size: int) -> sparse.csr_matrix:
     """(n, size^2) matrix that takes a map's texels in row-major order to bilinear values at uv
-    (n, 2): `gather` as a matrix, `splat` its transpose. For many products with the same uv.
+    (n, 2): `gather` as a matrix, `splat` its transpose.
     """
-    return bilinear(*texel_position(uv, size), size, size)
-
-
-def bilinear(x: np.ndarray, y: np.ndarray, rows: int, columns: int) -> sparse.csr_matrix:
-    """(n, rows columns) matrix, float32, that takes the values of a grid in row-major order to
-    bilinear ones at columns x and rows y (n,), 0 at the centre of the first; those of the border
-    beyond it.
-    """
+    x, y = texel_position(uv, size)
     places, weights = [], []
     for right, down in ((0, 0), (0, 1), (1, 0), (1, 1)):
         column = np.floor(x).astype(np.int32) + right
         row = np.floor(y).astype(np.int32) + down
         weights.append((1 - np.abs(x - column)) * (1 - np.abs(y - row)))
-        places.append(np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1))
+        places.append(np.clip(row, 0, size - 1) * size + np.clip(column, 0, size - 1))
 
     four = np.arange(0, 4 * len(x) + 1, 4)
     parts = (np.stack(weights, 1).ravel().astype(np.float32), np.stack(places, 1).ravel(), four)
-    return sparse.csr_matrix(parts, (len(x), rows * columns))
+    return sparse.csr_matrix(parts, (len(x), size * size))
 
 
 def gather(image: np.ndarray, uv: np.ndarray) -> np.ndarray:

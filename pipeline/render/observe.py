@@ -24,6 +24,7 @@ from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba_rays
 from pipeline.geometry.cameras import Rig, View, load_cameras
 from pipeline.photos.saturation import saturated
+from pipeline.render.camera_rays import rays_into
 from pipeline.render.observe_surroundings import find_surroundings
 from pipeline.render.surface_photometry import (
     ENOUGH_PIXELS,
@@ -285,23 +286,20 @@ class Observations:
         """One ray through a random point of each pixel of `index` (any shape (...,)): origins,
         directions (..., 3), world frame.
         """
-        return self._rays_at(index, rng.random(index.shape + (2,)))
+        return self._rays_at(index, rng.random((index.size, 2)))
 
     def centre_rays(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The ray through the centre of each pixel of `index` (any shape (...,)): origins,
         directions (..., 3), world frame.
         """
-        return self._rays_at(index, 0.5)
+        return self._rays_at(index, np.full((1, 2), 0.5))
 
-    def _rays_at(
-        self, index: np.ndarray, offset: np.ndarray | float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Rays through the pixels' corners of least column and row, plus `offset`."""
-        view = self.view[index]
-        column, row = np.moveaxis((self.pixel[index] + offset).astype(np.float32), -1, 0)
-        fx, fy, cx, cy = np.moveaxis(self.lens[view], -1, 0)
-
-        x, y = (column - cx) / fx, (row - cy) / fy
-        along_x, along_y, along_z = (axis[view] for axis in np.moveaxis(self.turn, 1, 0))
-        ahead = x[..., None] * along_x + y[..., None] * along_y + along_z
-        return self.origin[view], ahead / np.sqrt(x**2 + y**2 + 1)[..., None]
+    def _rays_at(self, index: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rays through the pixels' corners of least column and row, plus `offset` (n, 2) or (1, 2),
+        n the size of `index`.
+        """
+        flat = index.ravel()
+        pixel, offset = self.pixel[flat], np.broadcast_to(offset, (len(flat), 2))
+        rays = np.empty((2, len(flat), 3), np.float32)
+        rays_into(self.view[flat], pixel, offset, self.origin, self.turn, self.lens, rays)
+        return rays[0].reshape(*index.shape, 3), rays[1].reshape(*index.shape, 3)

@@ -13,13 +13,13 @@ from pipeline.posterior.base_color import (
     brighter_light,
     coarse_to_fine,
     color_map,
-    error_weight,
     shared_between_photos,
     squared_srgb_error,
 )
 from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.move_gloss import ROUGHNESS_FACTOR, stay_near
+from pipeline.posterior.pixel_loops import weigh_into
 from pipeline.posterior.problem import SHADE
 from pipeline.posterior.refine import as_the_mesh_shows
 from pipeline.posterior.shading import Shading
@@ -109,12 +109,37 @@ def test_one_pixels_highlight_leaves_no_dot():
     assert (plain > 0.9).all() and (calmed < 0.2 + 0.65 * (plain - 0.2)).all()
 
 
+def weighed(picture, photo, known: float = 1.0, contradiction: float = np.inf):
+    weight = np.empty(photo.shape, np.float32)
+    known = np.full(len(photo), known, np.float32)
+    loss = weigh_into(picture, photo, known, contradiction, SHADE, weight)
+    return weight, loss
+
+
 def test_weighted_error_is_that_of_the_log():
-    picture = np.array([[0.02, 0.5, 3.0]])
-    photo = np.array([[1.0, 0.5001, 0.1]])
-    weighted = error_weight(picture, photo) * (photo - picture)
-    difference = np.log((photo + SHADE) / (picture + SHADE))
-    assert np.allclose(weighted, difference / (picture + SHADE), rtol=1e-3)
+    """Of the first solve as it is; later by how large it is in the mean over a pixel's channels."""
+    picture = np.array([[0.02, 0.5, 3.0], [-0.01, 0.2, 0.2]], np.float32)
+    photo = np.array([[1.0, 0.5001, 0.1], [0.3, 0.2, 0.25]], np.float32)
+    floored = np.maximum(picture, 0) + SHADE
+    difference = np.log((photo + SHADE) / floored)
+    slope = difference / np.where(photo == picture, 1, photo - np.maximum(picture, 0))
+    expected = np.where(photo == picture, 1 / floored, slope) / floored
+
+    weight, loss = weighed(picture, photo, 0.7)
+    assert np.allclose(weight, 0.7 * expected, rtol=1e-3)
+    assert np.isclose(loss, (((photo - picture) / (photo + SHADE)) ** 2).mean(), rtol=1e-5)
+    trust = 1 / (1 + (np.abs(difference).mean(1, keepdims=True) / 0.5) ** 2)
+    assert np.allclose(weighed(picture, photo, 0.7, 0.5)[0], trust * weight, rtol=1e-4)
+
+
+def test_what_photos_show_beyond_a_picture(truth):
+    observations, shading = pixels_of(truth, 3000)
+    pixels, weight = MapPixels(observations, SIZE), numpy_rng(2).random((3000, 3))
+    color, (scaled, rest) = 0.5 * truth, (shading.scaled, shading.rest)
+    found = pixels.left_over(color, scaled, rest, observations.rgb, weight)
+    picture = pixels.of(color) * scaled + rest
+    expected = pixels.onto(weight * (observations.rgb - picture))
+    assert np.allclose(found, expected, atol=1e-4)
 
 
 def test_map_is_as_sharp_as_the_cameras_allow(truth):
