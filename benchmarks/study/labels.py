@@ -17,7 +17,7 @@ AIR = 1.5  # pixels kept around a label
 MARKER = 9.0  # side in pixels that is kept free around a point
 PLACES = tuple(  # of a label around its point, nearest first: offset in points, alignment
     ((x * (5 if y else reach), y * reach), across, along)
-    for reach in range(5, 25)
+    for reach in range(5, 60)
     for y, along in ((1, "bottom"), (-1, "top"), (0, "center"))
     for x, across in ((1, "left"), (-1, "right"), (0, "center"))
     if (x, y) != (0, 0)

@@ -27,30 +27,30 @@ from benchmarks.study.tables import (
 from benchmarks.study.versions import LATER, versions
 from benchmarks.tables import committed
 
+SUITE = "S"  # the one that the pages show
 # rows of one run whose times are compared: ours beside the published sampler's
 TIMES = committed.RESULTS / "study_times"
 
 
-def source(suite: str, methods: Collection[str] = METHODS, folder: Path = ROWS) -> str:
+def source(data: dict, methods: Collection[str] = METHODS, folder: Path = ROWS) -> str:
     """The line below a table: where the rows of these methods come from."""
-    rows = [row for row in suite_rows(suite, folder)["rows"] if row["method"] in methods]
+    rows = [row for row in data["rows"] if row["method"] in methods]
     said = lambda key: dict.fromkeys(row[key] for row in rows if row[key])
     # made in pieces, of some scenes each, which the rows say
     whole = lambda command: re.sub(r" --scenes [\w,]+(?= )", "", command)
     commands = ", ".join(f"`{command}`" for command in dict.fromkeys(map(whole, said("command"))))
-    place = suite_folder(Path(folder.name), suite)
+    place = suite_folder(Path(folder.name), SUITE)
     link = f"[{place}](../benchmarks/results/{place}), a file for each row"
     made = "; ".join([commands, ", ".join(said("machine")), ", ".join(said("commit"))])
     return f"\n<sub>{link}: {made}. {' '.join(said('note'))}</sub>\n"
 
 
-def chart_source(suite: str) -> str:
+def chart_source(data: dict) -> str:
     """The line below a chart: where and when its rows were made, how it is drawn, what to copy."""
-    data = suite_rows(suite)
     rows = [row for method in METHODS for row in timed(data, method)]
     said = lambda key: ", ".join(dict.fromkeys(row[key] for row in rows if row.get(key)))
     days = f"rows of {said('date')}; " if said("date") else ""
-    redraw = f"drawn by `python -m benchmarks.study.charts --suite {suite} --out docs`"
+    redraw = f"drawn by `python -m benchmarks.study.charts --suite {SUITE} --out docs`"
     copy = "To copy: `preset: draft` or `preset: standard` in the scene's configuration, or"
     return (
         f"<sub>{said('machine')}; {days}{redraw}. {copy} `sample: {{method: NAME}}` for a method "
@@ -59,47 +59,35 @@ def chart_source(suite: str) -> str:
     )
 
 
-def of_suite(suite: str, make: Callable[[dict], str]) -> Callable[[], str]:
-    """A table of a suite's committed rows."""
-    return lambda: make(suite_rows(suite))
-
-
-XS: dict[str, Callable[[dict], str]] = {
+OF_ROWS: dict[str, Callable[[dict], str]] = {
     "study_scores": scores,
+    "study_likeness": likeness,
     "study_draws": draws,
     "study_differences": differences,
     "study_by_scene": by_scene,
     "study_levels": levels,
     "study_costs": costs,
-    "study_relight_choice": lambda data: relight_choice(data) + "\n",
-    "study_speed": lambda data: speed_against(data) + "\n",
+    "study_relight_choice": lambda data: f"{relight_choice(data)}\n\n{chart_source(data)}",
     "study_coverage_choice": lambda data: coverage_choice(data) + "\n",
-    "study_source": lambda data: source("XS"),
-    "study_yardsticks": lambda data: yardstick_tables.table(data) + source("XS", YARDSTICKS),
+    "study_yardsticks": lambda data: yardstick_tables.table(data) + source(data, YARDSTICKS),
     "study_yardsticks_ahead": yardstick_tables.losers,
+    "study_losses": losses,
+    "study_source": source,
 }
-S: dict[str, Callable[[dict], str]] = {
-    "study_s_scores": scores,
-    "study_s_likeness": likeness,
-    "study_s_draws": draws,
-    "study_s_differences": differences,
-    "study_s_by_scene": by_scene,
-    "study_s_costs": costs,
-    "study_s_levels": levels,
-    "study_s_relight_choice": lambda data: f"{relight_choice(data)}\n\n{chart_source('S')}",
-    "study_s_coverage_choice": lambda data: coverage_choice(data) + "\n",
-    "study_s_yardsticks": lambda data: yardstick_tables.table(data) + source("S", YARDSTICKS),
-    "study_s_yardsticks_ahead": yardstick_tables.losers,
-    "study_s_losses": losses,
-    "study_s_source": lambda data: source("S"),
-}
+
+
+def of_study(make: Callable[[dict], str]) -> Callable[[], str]:
+    """A table of the committed rows."""
+    return lambda: make(suite_rows(SUITE))
+
+
 TABLES: dict[str, Callable[[], str]] = {
-    **{name: of_suite("XS", make) for name, make in XS.items()},
-    **{name: of_suite("S", make) for name, make in S.items()},
-    "study_s_speed": lambda: speed_against(suite_rows("S", TIMES)) + "\n",
-    "study_s_speed_source": lambda: source("S", folder=TIMES),
-    "study_s_versions": lambda: (
-        versions(suite_rows("S"), suite_rows("S", LATER)) + source("S", folder=LATER)
+    **{name: of_study(make) for name, make in OF_ROWS.items()},
+    "study_speed": lambda: speed_against(suite_rows(SUITE, TIMES)) + "\n",
+    "study_speed_source": lambda: source(suite_rows(SUITE, TIMES), folder=TIMES),
+    "study_versions": lambda: (
+        versions(suite_rows(SUITE), suite_rows(SUITE, LATER))
+        + source(suite_rows(SUITE, LATER), folder=LATER)
     ),
     "study_declarations": declarations,
     "study_agreement": lambda: (

@@ -1,7 +1,7 @@
 """What methods make of a scene: its light, a held-out view, and that view under other lights.
 
-python -m benchmarks.study.pictures --out STUDY --suite XS --scene xs_rounded_case__sunny_1 \\
-    --methods split_gibbs_draft,dpi_paper --to docs/study_xs_case.jpg
+python -m benchmarks.study.pictures --out STUDY --suite S --scene s_blob__studio_5 \\
+    --methods preset_draft,dpi_paper --to docs/study_s_blob.jpg
 
 STUDY is the folder of benchmarks.study. A row for the truth, then one for each method's first draw;
 numbers are PSNR in dB of the picture above them (of the light: as log radiance).

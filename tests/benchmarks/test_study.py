@@ -122,7 +122,7 @@ def test_errors_of_intervals_have_bars_over_scenes(data):
     assert (point.low, point.high) == pytest.approx((0.1, 0.1))
 
 
-def test_pieces_of_a_study_are_named_as_one(monkeypatch):
+def test_pieces_of_a_study_are_named_as_one():
     """Rows name their scenes; the line below a table does not. A folder of scenes stays."""
     command = "python -m benchmarks.study --suite S{} --samples 1 --out FOLDER"
     said = [
@@ -131,8 +131,7 @@ def test_pieces_of_a_study_are_named_as_one(monkeypatch):
         "a --scenes F/s --out o",
     ]
     rows = [{"method": OURS, "command": c, "machine": "m", "commit": "c", "note": ""} for c in said]
-    monkeypatch.setattr(pages, "suite_rows", lambda suite, folder: {"rows": rows})
-    line = pages.source("S")
+    line = pages.source({"rows": rows})
     assert line.count(command.format("")) == 1 and "s_a__x_1" not in line
     assert "`a --scenes F/s --out o`" in line
 
@@ -220,7 +219,7 @@ def ink(figure) -> np.ndarray:
 @pytest.mark.parametrize("points, higher", [(relight_points, True), (coverage_points, False)])
 def test_labels_of_the_committed_charts_cross_nothing(points, higher):
     """Their ink is where no line, bar or marker has any, and where no other label is."""
-    data = suite_rows("XS")
+    data = suite_rows("S")
     figure = chart(points(data), higher, "", "", means(data) if higher else {})
     (axes,) = figure.axes
     boxes = [box_of(label) for label in axes.texts]
