@@ -7,13 +7,15 @@ also counts some pixels' worth of what the texels around it show, coarse to fine
 A mean over pixels is blurred by their size. Adding what the mean leaves over, again and again
 (back-projection), sharpens it; that helps where cameras and surface are right to a fraction of a
 texel and harms everywhere else. How sharp the map may be is what predicts photos best that it was
-not made from.
+not made from. On metal that may be hardly at all: what a light that is not quite right lacks in a
+mirrored direction is not to become the colour of the texel that mirrors it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -48,7 +50,14 @@ class Sharpness:
 
 
 USUAL = Sharpness(2.0, 0)
-CHOICES = (Sharpness(4.0, 0), USUAL, Sharpness(1.0, 1), Sharpness(0.5, 3))
+# smoothest first
+CHOICES = (
+    *(Sharpness(around, 0) for around in (256.0, 64.0, 16.0, 4.0)),
+    USUAL,
+    Sharpness(1.0, 1),
+    Sharpness(0.5, 3),
+)
+TRIED_FIRST = 3  # of them
 
 
 @dataclass
@@ -186,18 +195,32 @@ class ColorSolver:
 
     def sharpest_that_holds(self) -> Sharpness:
         """Of CHOICES the one whose map, made from the other views, explains every EVERY-th best;
-        there all pixels count, as they do in a score.
+        there all pixels count, as they do in a score. The error falls towards the best one from
+        either side, so that those beyond a worse one are not tried.
         """
         if self.judges is None:
             return USUAL
 
         color, weight = self.by_other_views
         photo = self.photo(self.picture(color))
-        errors = []
-        for sharpness in CHOICES:
-            picture = self.picture(self.mean(weight, photo, sharpness))
-            errors.append(float((log_error(picture, photo)[self.judges] ** 2).mean()))
-        return CHOICES[int(np.argmin(errors))]
+
+        def error(choice: int) -> float:
+            picture = self.picture(self.mean(weight, photo, CHOICES[choice]))
+            return float((log_error(picture, photo)[self.judges] ** 2).mean())
+
+        return CHOICES[lowest(error, TRIED_FIRST, len(CHOICES))]
+
+
+def lowest(error: Callable[[int], float], start: int, count: int) -> int:
+    """The number under `count` at which `error`, which falls and then rises, is least: the search
+    goes down from `start`, and asks for each error once at most.
+    """
+    error = lru_cache(error)
+    way = 1 if start + 1 < count and error(start + 1) < error(start) else -1
+    best = start
+    while 0 <= best + way < count and error(best + way) < error(best):
+        best += way
+    return best
 
 
 def log_error(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The base colour from given shading: robust means, and how sharp they may be."""
 
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from pipeline.posterior.base_color import (
     brighter_light,
     coarse_to_fine,
     color_map,
+    lowest,
     shared_between_photos,
     squared_srgb_error,
 )
@@ -157,6 +159,34 @@ def test_map_is_as_sharp_as_the_cameras_allow(truth):
             assert error(color) < 0.5 * error(mean)
     assert chosen[0.0]["passes"] == max(choice.passes for choice in CHOICES)
     assert chosen[2.0]["passes"] == 0
+
+
+def test_map_is_smooth_where_what_is_mirrored_is_wrong():
+    """One colour all over. What every view's texels mirror is off by another factor each."""
+    plain = np.full((SIZE, SIZE, 3), 0.4, np.float32)
+    observations, shading = pixels_of(plain, 40000)
+    wrong = np.exp(0.3 * numpy_rng(2).normal(size=(VIEWS, SIZE, SIZE, 1))).repeat(3, -1)
+    for view in range(VIEWS):
+        of_view = observations.view == view
+        shading.scaled[of_view] *= gather(wrong[view], observations.uv[of_view])
+    solver = solver_of(observations, shading, plain)
+    color, chosen = color_map(solver)
+    usual, _, _ = solver.robust()
+    assert chosen["around"] > 4
+    inside = np.s_[6:-6, 6:-6]
+    assert color[inside].std() < 0.5 * usual[inside].std()
+
+
+def test_the_lowest_error_is_found_from_anywhere_and_each_is_asked_for_once():
+    rng = numpy_rng(0)
+    for count in range(1, 8):
+        for least in range(count):
+            steps = rng.uniform(0.1, 1, count)
+            errors = [float(steps[min(k, least) : max(k, least)].sum()) for k in range(count)]
+            for start in range(count):
+                error = Mock(side_effect=errors.__getitem__)
+                assert lowest(error, start, count) == least
+                assert error.call_count == len({call.args for call in error.mock_calls})
 
 
 def test_views_that_contradict_the_others_are_forgotten(truth):
