@@ -28,6 +28,7 @@ LATER = RESULTS / "study_later"
 FEWEST = 8  # scenes that a method is compared on, at least
 COMPARED = (
     "relight_psnr",
+    "relight_psnr_channel",
     "novel_view_psnr",
     "light_psnr_log",
     "albedo_mse",
