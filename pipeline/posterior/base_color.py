@@ -4,6 +4,12 @@ L = a D + S is linear in the base colour a, so a texel's colour is a = sum w (y 
 the pixels y that see it. Few pixels are noisy and may all show one highlight: a texel therefore
 also counts some pixels' worth of what the texels around it show, coarse to fine over a pyramid.
 
+A dielectric's errors are relative ones: a pixel counts by the log's. What a metal mirrors is the
+light, and a drawn light is smoother than the true one: D lacks in lamps what it has too much of
+beside them. By logs what is dark counts most, there D is too bright, and the metal comes out too
+dark. Where all pixels of a metal count the same, errors of either sign cancel; it is done where
+that predicts photos better.
+
 A mean over pixels is blurred by their size. Adding what the mean leaves over, again and again
 (back-projection), sharpens it; that helps where cameras and surface are right to a fraction of a
 texel and harms everywhere else. How sharp the map may be is what predicts photos best that it was
@@ -14,7 +20,7 @@ mirrored direction is not to become the colour of the texel that mirrors it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import cv2
@@ -37,6 +43,7 @@ BRIGHTER = (1.0, 1.2, 1.45, 1.75, 2.1)  # factors of the light that are tried
 CLEAR_GAIN = 0.01
 # part of the pixels that must lie where a base colour is at its limit, before a brighter is tried
 AT_LIMIT = 0.02
+METAL = 0.5  # metallic from which on a pixel shows metal
 
 
 @dataclass(frozen=True)
@@ -104,14 +111,12 @@ def coarse_to_fine(sums: TexelSums, around: float) -> np.ndarray:
     return color
 
 
-def shared_between_photos(pixels: MapPixels, shading: Shading, metallic: np.ndarray) -> Shading:
+def shared_between_photos(pixels: MapPixels, shading: Shading) -> Shading:
     """The shading with D as a map where the surface is no metal.
 
     A dielectric's D is the light that falls on the surface, the same for every photo, while its
     estimates in single photos have the path tracer's noise: on garden they differ by 12 % from
     their mean, which costs .7 dB. What a metal reflects moves with the view.
-
-    metallic: (n, 1) of every pixel.
     """
     sums = TexelSums(
         pixels.onto(pixels.cosine * shading.scaled),
@@ -119,22 +124,40 @@ def shared_between_photos(pixels: MapPixels, shading: Shading, metallic: np.ndar
         pixels.count,
     )
     common = pixels.of(coarse_to_fine(sums, USUAL.around))
+    metallic = shading.metallic
     scaled = (1 - metallic) * common + metallic * shading.scaled
-    return Shading(scaled.astype(np.float32), shading.rest)
+    return replace(shading, scaled=scaled.astype(np.float32))
+
+
+def weighed(
+    picture: np.ndarray, photo: np.ndarray, known: np.ndarray, contradiction: float = np.inf
+) -> tuple[np.ndarray, float]:
+    """The weights (n, 3) and the mean squared relative error of `weigh_into`."""
+    weight = np.empty_like(photo)
+    loss = weigh_into(picture, photo, known, contradiction, SHADE, weight)
+    return weight, loss
 
 
 class ColorSolver:
     """Base colour maps for one shading of the observed pixels, from `begin` (t, t, 3)."""
 
-    def __init__(self, pixels: MapPixels, shading: Shading, begin: np.ndarray):
+    def __init__(
+        self, pixels: MapPixels, shading: Shading, begin: np.ndarray, even: bool | None = None
+    ):
+        """even: whether all pixels of a metal count the same; what predicts photos best, where it
+        is not said.
+        """
         self.pixels = pixels
         self.shading = shading
         self.begin = begin
+        if even is not None:
+            self.even = even
 
     def under(self, factor: float) -> ColorSolver:
         """The same under a light brighter by a factor."""
-        shading = Shading(factor * self.shading.scaled, factor * self.shading.rest)
-        return self if factor == 1 else ColorSolver(self.pixels, shading, self.begin)
+        if factor == 1:
+            return self
+        return ColorSolver(self.pixels, self.shading.under(factor), self.begin, self.even)
 
     def picture(self, color: np.ndarray) -> np.ndarray:
         """Radiance (n, 3) of all pixels."""
@@ -174,10 +197,12 @@ class ColorSolver:
         for contradiction in CONTRADICTIONS:
             picture = self.picture(color)
             photo = single(self.photo(picture))
-            weight = np.empty_like(photo)
             # the first solve trusts all pixels: its errors are those of `begin`
             doubt = contradiction if losses else np.inf
-            losses.append(weigh_into(picture, photo, known, doubt, SHADE, weight))
+            weight, loss = weighed(picture, photo, known, doubt)
+            if self.even:
+                weight *= self.evened(weighed(picture, photo, np.ones_like(known))[0])
+            losses.append(loss)
             color = self.mean(weight, photo, USUAL)
         return color, weight, losses[0]
 
@@ -186,6 +211,52 @@ class ColorSolver:
         """Which pixels (n,) are of every EVERY-th view; None where those are all views or none."""
         judge = self.pixels.observations.view % EVERY == 0
         return None if judge.all() or not judge.any() else judge
+
+    def evened(self, by_log: np.ndarray) -> np.ndarray:
+        """Factors (n, 3) of weights by the log that make all pixels of a metal count the same."""
+        metallic = self.shading.metallic
+        return (1 - metallic) + metallic * self.usual_weight / by_log
+
+    @cached_property
+    def usual_weight(self) -> np.ndarray:
+        """Mean weight by the log (n, 3) around every pixel's place on the surface, in all photos of
+        it, at the colours `begin`.
+        """
+        pixels, picture = self.pixels, self.picture(self.begin)
+        ones = np.ones_like(pixels.cosine)
+        by_log, _ = weighed(picture, single(self.photo(picture)), ones[:, 0])
+        sums = TexelSums(pixels.onto(by_log), np.repeat(pixels.count, 3, 2), pixels.count)
+        return pixels.of(coarse_to_fine(sums, USUAL.around))
+
+    @cached_property
+    def even(self) -> bool:
+        """Whether all pixels of a metal count the same, or by the log as others do: what explains
+        every EVERY-th view better from the other views, by maps of the USUAL sharpness. The same,
+        where no view judges.
+        """
+        if not self.shows_metal:
+            return False
+        return self.judges is None or self.weighed_best(USUAL)[0].even
+
+    @property
+    def shows_metal(self) -> bool:
+        return bool((self.shading.metallic > METAL).any())
+
+    def weighed_best(self, sharpness: Sharpness | None) -> tuple[ColorSolver, Sharpness]:
+        """By the log or evenly, whichever explains the judging views better by a score's error, and
+        how sharp: as said, or the sharpest that holds of either.
+        """
+        tried = [ColorSolver(self.pixels, self.shading, self.begin, even) for even in (False, True)]
+        chosen = [(solver, sharpness or solver.sharpest_that_holds()) for solver in tried]
+        return min(chosen, key=lambda pair: pair[0].error_by_other_views(pair[1]))
+
+    def error_by_other_views(self, sharpness: Sharpness) -> float:
+        """Mean squared sRGB error of the judging views, by a map from the others."""
+        color, weight = self.by_other_views
+        if sharpness != USUAL:
+            color = self.mean(weight, self.photo(self.picture(color)), sharpness)
+        picture = self.picture(color)
+        return squared_srgb_error(picture[self.judges], self.photo(picture)[self.judges])
 
     @cached_property
     def by_other_views(self) -> tuple[np.ndarray, np.ndarray]:
@@ -271,10 +342,12 @@ def color_map(solver: ColorSolver, sharpness: Sharpness | None = None) -> tuple[
     Texels that no pixel falls on take the nearest seen one's colour. Facts: `loss`, the mean
     squared relative error of the picture that the solver's `begin` makes; the sharpness.
     """
+    if sharpness is None and solver.shows_metal and solver.judges is not None:
+        solver, sharpness = solver.weighed_best(None)
+    elif sharpness is None:
+        sharpness = solver.sharpest_that_holds()
     color, weight, loss = solver.robust()
     photo = solver.photo(solver.picture(color))
-    if sharpness is None:
-        sharpness = solver.sharpest_that_holds()
     color = solver.mean(weight, photo, sharpness)
     return fill(color, solver.pixels.seen), {
         "loss": loss,

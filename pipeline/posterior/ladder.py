@@ -192,8 +192,7 @@ class Jury:
         """`begin` with the base colour that the kept pixels of a fold show under a shading of all
         folds'.
         """
-        index = self.of_fold[fold]
-        of_some = Shading(shading.scaled[index], shading.rest[index])
+        of_some = shading.of(self.of_fold[fold])
         solver = ColorSolver(self.fold_on_map[fold], of_some, begin.base_color)
         return replace(begin, base_color=color_map(solver, USUAL)[0])
 

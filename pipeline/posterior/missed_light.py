@@ -19,6 +19,7 @@ paths are few (base_color.py). A metal's D moves with the view and is left as it
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -27,7 +28,7 @@ from pipeline.posterior.base_color import TexelSums, coarse_to_fine
 from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.shading import LEAST, Shading
-from pipeline.posterior.textures import closed_gaps, gather
+from pipeline.posterior.textures import closed_gaps
 from pipeline.render.renderer import Explanation
 
 # paths that a texel's surroundings count as, at every level: one path's error is about as large
@@ -37,10 +38,9 @@ METAL = 0.95  # metallic from which on there is next to no D that paths could pu
 CHUNK = 1 << 19  # pixels at a time
 
 
-def unmetallic_pixels(problem: Problem, explanation: Explanation) -> np.ndarray:
+def unmetallic_pixels(shading: Shading) -> np.ndarray:
     """The observed pixels that show anything but metal."""
-    metallic = gather(explanation.metallic, problem.observations.uv)[:, 0]
-    return np.flatnonzero(metallic < METAL)
+    return np.flatnonzero(shading.metallic[:, 0] < METAL)
 
 
 def paths_for(pixels: MapPixels, some: np.ndarray, texel_paths: float) -> int:
@@ -99,12 +99,12 @@ def with_missed_light(
     texel, show beyond it added to D where the surface is no metal. Its base colour must not be zero
     anywhere. pixels: the problem's, on maps of the base colour's size.
     """
-    some = unmetallic_pixels(problem, explanation)
+    some = unmetallic_pixels(shading)
     paths = paths_for(pixels, some, texel_paths)
     if not paths:
         return shading
     color = pixels.of(explanation.base_color)
-    dielectric = 1 - gather(explanation.metallic, problem.observations.uv)
+    dielectric = 1 - shading.metallic
     radiance, made = single_paths(problem, explanation, some, paths, rng)
     diffuse = color * shading.scaled
     missed = radiance - made * (diffuse + shading.rest)
@@ -116,4 +116,4 @@ def with_missed_light(
     )
     more = pixels.of(coarse_to_fine(sums, AROUND))
     scaled = np.maximum(shading.scaled + dielectric * more, LEAST)
-    return Shading(scaled.astype(np.float32), shading.rest)
+    return replace(shading, scaled=scaled.astype(np.float32))

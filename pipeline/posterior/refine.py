@@ -38,7 +38,7 @@ from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.missed_light import with_missed_light
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import Shading, shade
-from pipeline.posterior.textures import fill, gather, seen_texels
+from pipeline.posterior.textures import fill, seen_texels
 from pipeline.render.principled_lobes import blurred_roughness
 from pipeline.render.renderer import Explanation, resize_explanation
 from pipeline.surface.normal_error import per_axis
@@ -73,8 +73,7 @@ def shading_by_color(
     begin = np.clip(explanation.base_color, DARKEST_START, ALBEDO_MAX).astype(np.float32)
     explanation = replace(explanation, base_color=begin)
     shading = shade(problem, explanation, pixels, rng)
-    metallic = gather(explanation.metallic, problem.observations.uv)
-    return explanation, shared_between_photos(on_map, shading, metallic)
+    return explanation, shared_between_photos(on_map, shading)
 
 
 def solve_base_color(

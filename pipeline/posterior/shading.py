@@ -34,10 +34,21 @@ LEAST = 1e-3  # of D: some light reaches everything
 
 @dataclass
 class Shading:
-    """L = a D + S of every observed pixel: `scaled` is D, `rest` is S, (n, 3) each."""
+    """L = a D + S of every observed pixel: `scaled` is D, `rest` is S, (n, 3) each; metallic (n,
+    1): the share of D that the surface mirrors, and does not scatter.
+    """
 
     scaled: np.ndarray
     rest: np.ndarray
+    metallic: np.ndarray
+
+    def under(self, factor: float) -> Shading:
+        """The same under a light brighter by a factor."""
+        return replace(self, scaled=factor * self.scaled, rest=factor * self.rest)
+
+    def of(self, index: np.ndarray) -> Shading:
+        """That of the pixels with these numbers."""
+        return Shading(self.scaled[index], self.rest[index], self.metallic[index])
 
 
 def shade(
@@ -61,7 +72,7 @@ def shade(
         at_known = at[np.searchsorted(inside, known)]
         cells = regress(at_known, guide[known], values[among], at.max(0))
         out[inside] = cells.predict(at, guide[inside])
-    return Shading(np.maximum(out[:, :3], LEAST), out[:, 3:])
+    return Shading(np.maximum(out[:, :3], LEAST), out[:, 3:], guide[:, -1:])
 
 
 def split_picture(

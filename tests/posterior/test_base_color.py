@@ -17,11 +17,11 @@ from pipeline.posterior.base_color import (
     lowest,
     shared_between_photos,
     squared_srgb_error,
+    weighed,
 )
 from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.move_gloss import ROUGHNESS_FACTOR, stay_near
-from pipeline.posterior.pixel_loops import weigh_into
 from pipeline.posterior.problem import SHADE
 from pipeline.posterior.refine import as_the_mesh_shows
 from pipeline.posterior.shading import Shading
@@ -40,7 +40,7 @@ def pixels_of(truth: np.ndarray, count: int, misplaced: float = 0.0) -> tuple:
     rng = numpy_rng(1)
     uv = rng.uniform(0.05, 0.95, (count, 2))
     view = rng.integers(VIEWS, size=count)
-    shading = Shading(rng.uniform(0.5, 2, (count, 3)), np.full((count, 3), 0.05))
+    shading = shading_of(rng.uniform(0.5, 2, (count, 3)), np.full((count, 3), 0.05))
     off = rng.normal(size=(VIEWS, 2))[view] * misplaced / SIZE
     observations = SimpleNamespace(
         uv=uv,
@@ -50,6 +50,11 @@ def pixels_of(truth: np.ndarray, count: int, misplaced: float = 0.0) -> tuple:
         clipped=np.zeros((count, 3), bool),
     )
     return observations, shading
+
+
+def shading_of(scaled, rest, metallic: float = 0) -> Shading:
+    """Of one metallic everywhere."""
+    return Shading(scaled, rest, np.full((len(scaled), 1), metallic, np.float32))
 
 
 def solver_of(observations, shading: Shading, begin: np.ndarray) -> ColorSolver:
@@ -84,7 +89,7 @@ def test_texels_without_pixels_take_the_colour_around_them():
 def test_a_brighter_lights_colours_are_those_of_brighter_shading(truth):
     observations, shading = pixels_of(truth, 4000)
     solver = solver_of(observations, shading, truth)
-    bright = Shading(1.5 * shading.scaled, 1.5 * shading.rest)
+    bright = shading_of(1.5 * shading.scaled, 1.5 * shading.rest)
     alone = solver_of(observations, bright, truth)
     assert np.array_equal(solver.under(1.5).robust()[0], alone.robust()[0])
     assert solver.under(1) is solver
@@ -111,11 +116,8 @@ def test_one_pixels_highlight_leaves_no_dot():
     assert (plain > 0.9).all() and (calmed < 0.2 + 0.65 * (plain - 0.2)).all()
 
 
-def weighed(picture, photo, known: float = 1.0, contradiction: float = np.inf):
-    weight = np.empty(photo.shape, np.float32)
-    known = np.full(len(photo), known, np.float32)
-    loss = weigh_into(picture, photo, known, contradiction, SHADE, weight)
-    return weight, loss
+def weighed_by(picture, photo, known: float, contradiction: float = np.inf):
+    return weighed(picture, photo, np.full(len(photo), known, np.float32), contradiction)
 
 
 def test_weighted_error_is_that_of_the_log():
@@ -127,11 +129,66 @@ def test_weighted_error_is_that_of_the_log():
     slope = difference / np.where(photo == picture, 1, photo - np.maximum(picture, 0))
     expected = np.where(photo == picture, 1 / floored, slope) / floored
 
-    weight, loss = weighed(picture, photo, 0.7)
+    weight, loss = weighed_by(picture, photo, 0.7)
     assert np.allclose(weight, 0.7 * expected, rtol=1e-3)
     assert np.isclose(loss, (((photo - picture) / (photo + SHADE)) ** 2).mean(), rtol=1e-5)
     trust = 1 / (1 + (np.abs(difference).mean(1, keepdims=True) / 0.5) ** 2)
-    assert np.allclose(weighed(picture, photo, 0.7, 0.5)[0], trust * weight, rtol=1e-4)
+    assert np.allclose(weighed_by(picture, photo, 0.7, 0.5)[0], trust * weight, rtol=1e-4)
+
+
+def blob_under_lamps(color: float, known: float) -> ColorSolver:
+    """A metal that mirrors lamps over a dim room, of which the solver's light knows a share: the
+    rest is spread evenly.
+    """
+    flat = np.full((SIZE, SIZE, 3), color, np.float32)
+    observations, _ = pixels_of(flat, 40_000)
+    shape = (len(observations.uv), 1)
+    mirrored = 0.2 * numpy_rng(4).lognormal(0, 1.5, shape) * np.ones(3, np.float32)
+    observations.rgb = (color * mirrored).astype(np.float32)
+    smooth = (known * mirrored + (1 - known) * mirrored.mean()).astype(np.float32)
+    shading = shading_of(smooth, np.zeros_like(smooth), metallic=1)
+    return solver_of(observations, shading, flat)
+
+
+def counted(solver: ColorSolver, even: bool) -> ColorSolver:
+    return ColorSolver(solver.pixels, solver.shading, solver.begin, even)
+
+
+def test_a_metal_is_as_bright_as_the_photos_under_a_light_that_is_too_smooth():
+    """By logs the dark counts most, where there is too much light, and the colour comes out too
+    dark.
+    """
+    solver = blob_under_lamps(0.6, known=0.5)
+    found = lambda even: float(np.median(counted(solver, even).robust()[0]))
+    assert abs(found(True) / 0.6 - 1) < 0.15 < 0.25 < 1 - found(False) / 0.6
+
+
+def test_a_metals_pixels_count_by_what_predicts_photos_better():
+    """Either way of the map in the end, and each as sharp as suits it."""
+    solver = blob_under_lamps(0.6, known=0.9)
+    error = lambda even: counted(solver, even).error_by_other_views(
+        counted(solver, even).sharpest_that_holds()
+    )
+    chosen, sharpness = solver.weighed_best(None)
+    assert chosen.error_by_other_views(sharpness) == min(error(False), error(True))
+    color, facts = color_map(solver)
+    assert facts["around"] == sharpness.around
+    assert np.array_equal(color, color_map(counted(solver, chosen.even), sharpness)[0])
+
+
+def test_no_other_pixels_are_weighed_anew():
+    """On a dielectric beside metal weights are the log's; on the metal they are of its place."""
+    truth = np.full((SIZE, SIZE, 3), 0.4, np.float32)
+    observations, shading = pixels_of(truth, 20_000)
+    metallic = (observations.uv[:, :1] > 0.5).astype(np.float32)
+    solver = solver_of(observations, Shading(shading.scaled, shading.rest, metallic), truth)
+    photo = solver.photo(solver.picture(truth))
+    by_log, _ = weighed(solver.picture(truth), photo, np.ones(len(photo), np.float32))
+    metal, even = metallic[:, 0] == 1, solver.evened(by_log) * by_log
+    assert np.array_equal(even[~metal], by_log[~metal])
+    near = np.abs(observations.uv[metal] - 0.75).max(1) < 0.05
+    assert even[metal][near].std() < 0.5 * by_log[metal][near].std()
+    assert abs(even[metal].mean() / by_log[metal].mean() - 1) < 0.1
 
 
 def test_what_photos_show_beyond_a_picture(truth):
@@ -254,7 +311,7 @@ def test_light_is_as_bright_as_colours_below_one_need(truth, times, found):
     until next to none are at the limit; a right one stays.
     """
     observations, shading = pixels_of(np.clip(1.15 * truth, 0, 0.92), 40_000)
-    dim = Shading(shading.scaled / times, shading.rest / times)
+    dim = shading.under(1 / times)
     begin = np.full((SIZE, SIZE, 3), 0.4, np.float32)
     assert brighter_light(solver_of(observations, dim, begin)) == found
 
@@ -264,7 +321,7 @@ def test_a_small_part_at_the_limit_raises_the_light():
     truth = np.full((SIZE, SIZE, 3), 0.3, np.float32)
     truth[24:34, 24:34] = 0.92
     observations, shading = pixels_of(truth, 40_000)
-    dim = Shading(shading.scaled / 1.75, shading.rest / 1.75)
+    dim = shading.under(1 / 1.75)
     assert brighter_light(solver_of(observations, dim, truth)) >= 1.45
     assert brighter_light(solver_of(observations, shading, truth)) == 1
 
@@ -278,7 +335,7 @@ def test_light_is_raised_for_colours_at_the_limit_only():
     observations, shading = pixels_of(truth, 40_000)
     highlights = numpy_rng(5).uniform(0, 0.2, (len(shading.rest), 1))
     observations.rgb += (highlights - shading.rest).astype(np.float32)
-    dull = Shading(shading.scaled / 1.15, np.repeat(0.5 * highlights, 3, 1))
+    dull = shading_of(shading.scaled / 1.15, np.repeat(0.5 * highlights, 3, 1))
 
     def error(factor):
         solver = solver_of(observations, dull, truth).under(factor)
@@ -320,10 +377,10 @@ def test_shading_of_a_dielectric_is_shared_between_photos_and_of_a_metal_is_not(
     rng = numpy_rng(2)
     smooth = 1 + 0.3 * np.sin(4 * observations.uv[:, :1]) * np.ones(3)
     noisy = smooth * rng.lognormal(0, 0.2, smooth.shape)
-    shading = Shading(noisy.astype(np.float32), np.full(smooth.shape, 0.05, np.float32))
-
     metallic = (observations.uv[:, :1] > 0.5).astype(np.float32)
-    shared = shared_between_photos(MapPixels(observations, SIZE), shading, metallic)
+    rest = np.full(smooth.shape, 0.05, np.float32)
+    shading = Shading(noisy.astype(np.float32), rest, metallic)
+    shared = shared_between_photos(MapPixels(observations, SIZE), shading)
     metal = metallic[:, 0] > 0
     error = lambda values: np.abs(values / smooth - 1)[~metal].mean()
     assert error(shared.scaled) < 0.35 * error(noisy)

@@ -25,7 +25,13 @@ def matt(toy):
 def shading(problem, matt):
     """D and S of all pixels, by 64 paths."""
     everywhere = np.arange(len(problem.observations))
-    return Shading(*split_picture(problem, matt, everywhere, 64, numpy_rng(3)))
+    scaled, rest = split_picture(problem, matt, everywhere, 64, numpy_rng(3))
+    return Shading(scaled, rest, gather(matt.metallic, problem.observations.uv))
+
+
+def with_metal(problem, shading: Shading, metallic: np.ndarray) -> Shading:
+    """Of a map of metallic (t, t)."""
+    return replace(shading, metallic=gather(metallic, problem.observations.uv))
 
 
 def on_map(problem, side: int = 32) -> MapPixels:
@@ -64,8 +70,9 @@ def test_a_metals_shading_is_left_as_it_is(problem, matt, shading):
     half = np.zeros((32, 32), np.float32)
     half[:, 16:] = 1
     both = replace(matt, metallic=half)
-    found = with_missed_light(problem, on_map(problem), both, shading, 15, numpy_rng(0))
-    metal = gather(half, problem.observations.uv)[:, 0] == 1
+    of_both = with_metal(problem, shading, half)
+    found = with_missed_light(problem, on_map(problem), both, of_both, 15, numpy_rng(0))
+    metal = of_both.metallic[:, 0] == 1
     assert np.allclose(found.scaled[metal], shading.scaled[metal], rtol=1e-5)
     assert not np.allclose(found.scaled[~metal], shading.scaled[~metal], rtol=1e-3)
 
@@ -97,15 +104,16 @@ def test_a_metal_takes_no_paths(problem, matt, shading, monkeypatch):
     paths = missed_light.single_paths
     noted = lambda *args: asked.append(args[2]) or paths(*args)
     monkeypatch.setattr(missed_light, "single_paths", noted)
+
+    def missed(metal):
+        x, of_metal = replace(matt, metallic=metal), with_metal(problem, shading, metal)
+        return with_missed_light(problem, on_map(problem), x, of_metal, 1, numpy_rng(0)), of_metal
+
     metal = np.ones((32, 32), np.float32)
-    found = with_missed_light(
-        problem, on_map(problem), replace(matt, metallic=metal), shading, 1, numpy_rng(0)
-    )
-    assert found is shading and not asked
+    found, before = missed(metal)
+    assert found is before and not asked
     metal[:, :16] = 0
-    with_missed_light(
-        problem, on_map(problem), replace(matt, metallic=metal), shading, 1, numpy_rng(0)
-    )
+    missed(metal)
     (pixels,) = asked
     assert 0 < len(pixels) < len(problem.observations)
     assert (gather(metal, problem.observations.uv[pixels]) < 1).all()
