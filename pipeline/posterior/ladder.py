@@ -35,7 +35,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.posterior.base_color import USUAL, ColorSolver, color_map
+from pipeline.posterior.base_color import USUAL
+from pipeline.posterior.color_choices import color_map, solver_for
 from pipeline.posterior.left_out import Fold, gain, residuals, squared_error, surely
 from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.problem import Problem, renderer_seed
@@ -193,7 +194,7 @@ class Jury:
         folds'.
         """
         of_some = shading.of(self.of_fold[fold])
-        solver = ColorSolver(self.fold_on_map[fold], of_some, begin.base_color)
+        solver = solver_for(self.fold_on_map[fold], of_some, begin.base_color)
         return replace(begin, base_color=color_map(solver, USUAL)[0])
 
 

@@ -24,8 +24,8 @@ from functools import partial
 
 import numpy as np
 
-from pipeline.posterior.base_color import TexelSums, coarse_to_fine
 from pipeline.posterior.map_pixels import MapPixels
+from pipeline.posterior.map_pyramid import TexelSums, coarse_to_fine
 from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.shading import LEAST, Shading
 from pipeline.posterior.textures import closed_gaps

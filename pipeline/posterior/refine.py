@@ -24,14 +24,8 @@ import numpy as np
 
 from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
-from pipeline.posterior.base_color import (
-    USUAL,
-    ColorSolver,
-    Sharpness,
-    brighter_light,
-    color_map,
-    shared_between_photos,
-)
+from pipeline.posterior.base_color import USUAL, Sharpness, shared_between_photos
+from pipeline.posterior.color_choices import brighter_light, color_map, solver_for
 from pipeline.posterior.ladder import climb
 from pipeline.posterior.left_out import folds
 from pipeline.posterior.map_pixels import MapPixels
@@ -96,7 +90,7 @@ def solve_base_color(
     begin, shading = shading_by_color(problem, on_map, explanation, pixels, rng)
     if texel_paths:
         shading = with_missed_light(problem, on_map, begin, shading, texel_paths, rng)
-    solver, factor = ColorSolver(on_map, shading, begin.base_color), 1.0
+    solver, factor = solver_for(on_map, shading, begin.base_color), 1.0
     if brighter and problem.renderer.ground is None:
         factor = brighter_light(solver)
     color, facts = color_map(solver.under(factor), sharpness)
@@ -195,10 +189,9 @@ def refine(
     held; 200 steps of Adam.
 
     Ours: the relative error of problem.py. s is found once, in closed form and within SCALE_RANGE,
-    before k, and is raised where base colours under 1 cannot explain the photos
-    (`base_color.brighter_light`). Adam moves k on maps of side COARSE at most; the full-size base
-    colour is a robust mean over the photos (`base_color.color_map`), and texels that no photo shows
-    take the nearest seen one's values.
+    before k, and is raised where base colours under 1 cannot explain the photos (`brighter_light`).
+    Adam moves k on maps of side COARSE at most; the full-size base colour is a robust mean over the
+    photos (`color_map`), and texels that no photo shows take the nearest seen one's values.
 
     problem: renders with maps of side `settings.texture`. drawn: the sampler drew the
     light's scale, which is then only ever raised, metallic, which stays, and roughness, which stays

@@ -6,20 +6,21 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from pipeline.posterior.base_color import (
+from pipeline.posterior.base_color import ColorSolver, shared_between_photos, weighed
+from pipeline.posterior.color_choices import (
     CHOICES,
     CLEAR_GAIN,
-    ColorSolver,
-    TexelSums,
     brighter_light,
-    coarse_to_fine,
     color_map,
+    counted_best,
+    error_by_other_views,
     lowest,
-    shared_between_photos,
+    sharpest_that_holds,
+    solver_for,
     squared_srgb_error,
-    weighed,
 )
 from pipeline.posterior.map_pixels import MapPixels
+from pipeline.posterior.map_pyramid import TexelSums, coarse_to_fine
 from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.move_gloss import ROUGHNESS_FACTOR, stay_near
 from pipeline.posterior.problem import SHADE
@@ -58,7 +59,7 @@ def shading_of(scaled, rest, metallic: float = 0) -> Shading:
 
 
 def solver_of(observations, shading: Shading, begin: np.ndarray) -> ColorSolver:
-    return ColorSolver(MapPixels(observations, SIZE), shading, begin)
+    return solver_for(MapPixels(observations, SIZE), shading, begin)
 
 
 @pytest.fixture(scope="module")
@@ -166,11 +167,13 @@ def test_a_metal_is_as_bright_as_the_photos_under_a_light_that_is_too_smooth():
 def test_a_metals_pixels_count_by_what_predicts_photos_better():
     """Either way of the map in the end, and each as sharp as suits it."""
     solver = blob_under_lamps(0.6, known=0.9)
-    error = lambda even: counted(solver, even).error_by_other_views(
-        counted(solver, even).sharpest_that_holds()
-    )
-    chosen, sharpness = solver.weighed_best(None)
-    assert chosen.error_by_other_views(sharpness) == min(error(False), error(True))
+
+    def error(even: bool) -> float:
+        one = counted(solver, even)
+        return error_by_other_views(one, sharpest_that_holds(one))
+
+    chosen, sharpness = counted_best(solver, None)
+    assert error_by_other_views(chosen, sharpness) == min(error(False), error(True))
     color, facts = color_map(solver)
     assert facts["around"] == sharpness.around
     assert np.array_equal(color, color_map(counted(solver, chosen.even), sharpness)[0])

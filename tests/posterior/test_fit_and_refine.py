@@ -7,7 +7,7 @@ import pytest
 from pipeline.base.config import Fit, Refine, Sample
 from pipeline.base.images import read_exr
 from pipeline.base.progress import Bar
-from pipeline.posterior.base_color import BRIGHTER
+from pipeline.posterior.color_choices import BRIGHTER
 from pipeline.posterior.dpi.as_published import dpi_paper, rho
 from pipeline.posterior.fit import fit
 from pipeline.posterior.problem import SHADE
