@@ -90,6 +90,11 @@ class ColorSolver:
             return self
         return ColorSolver(self.pixels, self.shading.under(factor), self.begin, self.even)
 
+    @cached_property
+    def otherwise(self) -> ColorSolver:
+        """The same that counts metal the other way; what either has solved is kept."""
+        return ColorSolver(self.pixels, self.shading, self.begin, not self.even)
+
     def picture(self, color: np.ndarray) -> np.ndarray:
         """Radiance (n, 3) of all pixels."""
         scaled = self.pixels.of(color) * self.shading.scaled

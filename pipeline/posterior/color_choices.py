@@ -28,7 +28,7 @@ CHOICES = (
     Sharpness(0.5, 3),
 )
 TRIED_FIRST = 3  # of them
-METAL = 0.5  # metallic from which on a pixel shows metal
+METAL = 0.5  # metallic from which on a pixel or texel is of metal
 BRIGHTER = (1.0, 1.2, 1.45, 1.75, 2.1)  # factors of the light that are tried
 # part of the error that a brighter light must save: no eye sees less
 CLEAR_GAIN = 0.01
@@ -57,8 +57,7 @@ def counted_best(solver: ColorSolver, sharpness: Sharpness | None) -> tuple[Colo
     """The solver that counts metal by the log or evenly, whichever explains the judging views
     better by a score's error, and how sharp: as said, or the sharpest that holds of either.
     """
-    of_solver = solver.pixels, solver.shading, solver.begin
-    tried = [ColorSolver(*of_solver, even) for even in (False, True)]
+    tried = sorted((solver, solver.otherwise), key=lambda one: one.even)
     chosen = [(one, sharpness or sharpest_that_holds(one)) for one in tried]
     return min(chosen, key=lambda pair: error_by_other_views(*pair))
 
@@ -128,16 +127,14 @@ def brighter_light(solver: ColorSolver) -> float:
     is a score's, squared, of sRGB values: it counts what is far too dark, as parts at the limit
     are, and a mean of |log| hardly does.
     """
-    judge = solver.judges
-    if judge is None:
+    if solver.judges is None:
         return 1.0
 
     errors: list[float] = []
     for factor in BRIGHTER:
         tried = solver.under(factor)
+        errors.append(error_by_other_views(tried, USUAL))
         color, _ = tried.by_other_views
-        picture = tried.picture(color)
-        errors.append(squared_srgb_error(picture[judge], tried.photo(picture)[judge]))
         if share_at_limit(solver.pixels.of(color)) < AT_LIMIT:
             break
     good_enough = np.array(errors) * (1 - CLEAR_GAIN) <= min(errors)

@@ -36,7 +36,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.posterior.base_color import USUAL
-from pipeline.posterior.color_choices import color_map, solver_for
+from pipeline.posterior.color_choices import METAL, color_map, solver_for
 from pipeline.posterior.left_out import Fold, gain, residuals, squared_error, surely
 from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.problem import Problem, renderer_seed
@@ -49,7 +49,6 @@ CHANCE = 0.023  # of a step that is none: two standard errors of a normal
 EQUALLY_SIMPLE = 2  # rungs, the first ones
 GROUPED = 20_000  # pixels whose colours are grouped into bodies
 SAME_COLOR = 0.95  # share of the colours' spread that bodies explain: one too many does no harm
-METAL = 0.5  # metallic from which on a texel is of metal
 
 # an explanation that a base colour can be solved from, and what its light and gloss give to the
 # observed pixels of a problem, which are places on its maps too, from paths through so many of them

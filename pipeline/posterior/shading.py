@@ -62,7 +62,8 @@ def shade(
     paths = int(np.clip(PATHS * pixels // len(traced), PATHS, MOST_PATHS))
     values = np.concatenate(split_picture(problem, explanation, traced, paths, rng), 1)
 
-    guide = guides(problem, explanation)
+    metallic = gather(explanation.metallic, problem.observations.uv)
+    guide = guides(problem, metallic)
     side = cell_side(problem.observations, len(traced), paths)
     out = np.zeros((count, 6), np.float32)
     for inside, among in pixels_by_view(problem.observations.view, traced):
@@ -72,7 +73,7 @@ def shade(
         at_known = at[np.searchsorted(inside, known)]
         cells = regress(at_known, guide[known], values[among], at.max(0))
         out[inside] = cells.predict(at, guide[inside])
-    return Shading(np.maximum(out[:, :3], LEAST), out[:, 3:], guide[:, -1:])
+    return Shading(np.maximum(out[:, :3], LEAST), out[:, 3:], metallic)
 
 
 def split_picture(
@@ -102,11 +103,10 @@ def split_picture(
     return scaled / color, whole - scaled
 
 
-def guides(problem: Problem, explanation: Explanation) -> np.ndarray:
+def guides(problem: Problem, metallic: np.ndarray) -> np.ndarray:
     """What D and S follow (n, 4): the shading normal in the world's frame, with the normal map, and
     metallic.
     """
-    metallic = gather(explanation.metallic, problem.observations.uv)
     return np.concatenate([problem.shading_normals, metallic], 1)
 
 
