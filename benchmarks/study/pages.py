@@ -12,7 +12,7 @@ from benchmarks.study import agreement_table, yardstick_tables
 from benchmarks.study.front import coverage_choice, relight_choice, speed_against
 from benchmarks.study.losses import losses
 from benchmarks.study.methods import METHODS, YARDSTICKS
-from benchmarks.study.store import ROWS, suite_folder, suite_rows
+from benchmarks.study.store import ROWS, suite_folder, suite_rows, times_beside
 from benchmarks.study.tables import (
     by_scene,
     costs,
@@ -23,18 +23,25 @@ from benchmarks.study.tables import (
     likeness,
     scores,
     timed,
+    timing,
 )
-from benchmarks.study.versions import LATER, versions
 from benchmarks.tables import committed
 
 SUITE = "S"  # the one that the pages show
-# rows of one run whose times are compared: ours beside the published sampler's
-TIMES = committed.RESULTS / "study_times"
 
 
-def source(data: dict, methods: Collection[str] = METHODS, folder: Path = ROWS) -> str:
+def source(data: dict, methods: Collection[str] = METHODS) -> str:
     """The line below a table: where the rows of these methods come from."""
-    rows = [row for row in data["rows"] if row["method"] in methods]
+    return said_of([row for row in data["rows"] if row["method"] in methods], ROWS)
+
+
+def times_source(data: dict) -> str:
+    """The line below a table of times."""
+    return said_of(timing(data), times_beside(ROWS) if data["times"] else ROWS)
+
+
+def said_of(rows: list[dict], folder: Path) -> str:
+    """Folder, commands, machines, commits and notes of rows."""
     said = lambda key: dict.fromkeys(row[key] for row in rows if row[key])
     # made in pieces, of some scenes each, which the rows say
     whole = lambda command: re.sub(r" --scenes [\w,]+(?= )", "", command)
@@ -46,10 +53,10 @@ def source(data: dict, methods: Collection[str] = METHODS, folder: Path = ROWS) 
 
 
 def chart_source(data: dict) -> str:
-    """The line below a chart: where and when its rows were made, how it is drawn, what to copy."""
+    """The line below a chart: where and when it was timed, how it is drawn, what to copy."""
     rows = [row for method in METHODS for row in timed(data, method)]
     said = lambda key: ", ".join(dict.fromkeys(row[key] for row in rows if row.get(key)))
-    days = f"rows of {said('date')}; " if said("date") else ""
+    days = f"times of {said('date')}; " if said("date") else ""
     redraw = f"drawn by `python -m benchmarks.study.charts --suite {SUITE} --out docs`"
     copy = "To copy: `preset: draft` or `preset: standard` in the scene's configuration, or"
     return (
@@ -73,6 +80,8 @@ OF_ROWS: dict[str, Callable[[dict], str]] = {
     "study_yardsticks_ahead": yardstick_tables.losers,
     "study_losses": losses,
     "study_source": source,
+    "study_speed": lambda data: speed_against(data) + "\n",
+    "study_times_source": times_source,
 }
 
 
@@ -83,12 +92,6 @@ def of_study(make: Callable[[dict], str]) -> Callable[[], str]:
 
 TABLES: dict[str, Callable[[], str]] = {
     **{name: of_study(make) for name, make in OF_ROWS.items()},
-    "study_speed": lambda: speed_against(suite_rows(SUITE, TIMES)) + "\n",
-    "study_speed_source": lambda: source(suite_rows(SUITE, TIMES), folder=TIMES),
-    "study_versions": lambda: (
-        versions(suite_rows(SUITE), suite_rows(SUITE, LATER))
-        + source(suite_rows(SUITE, LATER), folder=LATER)
-    ),
     "study_declarations": declarations,
     "study_agreement": lambda: (
         agreement_table.table(committed.rows_of("study_agreement"))

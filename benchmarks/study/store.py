@@ -1,7 +1,8 @@
 """The committed rows of the study: one small file a row, so that a run is made in pieces.
 
 benchmarks/results/study/<suite>/<scene>/<method>/<seed>.json holds one draw's row; together.json
-beside it what the draws of a scene and a method say together.
+beside it what the draws of a scene and a method say together. Rows in study_times, laid out alike,
+were made to be timed: every method one after another, on some of the scenes.
 """
 
 from __future__ import annotations
@@ -39,13 +40,28 @@ def seeds_in(folder: Path) -> list[int]:
 
 
 def suite_rows(suite: str, rows: Path = ROWS) -> dict:
-    """`rows` of a suite, in the order of their scenes, methods and seeds, and what draws say
-    `together`. Raises InputError where there is none.
+    """`rows` of a suite, in the order of their scenes, methods and seeds, what draws say
+    `together`, and `times`: the rows made to be timed, if any. Raises InputError without `rows`.
     """
     folder = suite_folder(rows, suite)
-    places = sorted(place for place in folder.glob("*/*") if place.is_dir())
-    found = [read_json(place / f"{seed}.json") for place in places for seed in seeds_in(place)]
+    places = places_in(folder)
+    found = rows_in(places)
     if not found:
         raise InputError("there are no rows", folder, "run the study without --tables first")
     together = [place / TOGETHER for place in places if (place / TOGETHER).exists()]
-    return {"rows": found, "together": [read_json(file) for file in together]}
+    times = rows_in(places_in(suite_folder(times_beside(rows), suite)))
+    return {"rows": found, "together": [read_json(file) for file in together], "times": times}
+
+
+def times_beside(rows: Path) -> Path:
+    """Where rows that were made to be timed lie: study_times, beside study."""
+    return rows.with_name(f"{rows.name}_times")
+
+
+def places_in(folder: Path) -> list[Path]:
+    """Folders of a scene and a method, in order."""
+    return sorted(place for place in folder.glob("*/*") if place.is_dir())
+
+
+def rows_in(places: list[Path]) -> list[dict]:
+    return [read_json(place / f"{seed}.json") for place in places for seed in seeds_in(place)]

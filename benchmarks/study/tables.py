@@ -85,19 +85,24 @@ def mean_of(data: dict, method: str, key: str) -> float | None:
     return float(np.mean(known)) if len(known) == len(found) else None
 
 
+def timing(data: dict) -> list[dict]:
+    """Rows that times are taken of: those made for it, which may be of fewer scenes; else all."""
+    return data.get("times") or data["rows"]
+
+
 def timed(data: dict, method: str) -> list[dict]:
     """Rows whose times may be compared: those of the machine and the day of our own rows, or of the
     most of them, which are the reference; the same processor is up to 1.4 times as fast on another
     day. Empty where these lack a scene.
     """
-    of = lambda name: [row for row in data["rows"] if row["method"] == name]
+    of = lambda name: [row for row in timing(data) if row["method"] == name]
     where = lambda row: (row["machine"], row.get("date"))
     places = [where(row) for row in of(OURS)]
     if not places:
         return []
     place = max(places, key=places.count)
     rows = [row for row in of(method) if where(row) == place]
-    return rows if {row["scene"] for row in rows} == set(scenes_in(data)) else []
+    return rows if {row["scene"] for row in rows} == {row["scene"] for row in timing(data)} else []
 
 
 def seconds(data: dict, method: str) -> float | None:

@@ -1,6 +1,7 @@
 """Tables and charts of a study from rows whose figures are known."""
 
 import json
+import shutil
 import sys
 from itertools import combinations
 
@@ -11,7 +12,6 @@ from PIL import Image
 from benchmarks.figures import pyplot
 from benchmarks.study import __main__ as study
 from benchmarks.study import pages
-from benchmarks.study import versions as compared
 from benchmarks.study.agreement_table import most, table
 from benchmarks.study.charts import chart, charts
 from benchmarks.study.front import (
@@ -209,6 +209,15 @@ def test_front_is_what_nothing_beats():
     assert "`slow` (9.0 s, 20.0 dB) if its time is there, `fast` (1.0 s" in said
 
 
+def test_times_are_of_the_rows_made_for_them(data):
+    """They may be of fewer scenes; a method that they lack has scores and no time."""
+    data["times"] = [r | {"scene": "a"} for r in rows_of(OURS, 0, 3) + rows_of("map", 0, 1)]
+    assert seconds(data, OURS) == 6 and seconds(data, "dpi_paper") is None
+    assert mean_of(data, OURS, "relight_psnr") == 20.5
+    assert {p.method: p.seconds for p in relight_points(data)} == {OURS: 3, "map": 1}
+    assert "On 1 scene `map` takes 0.3 times as long" in speed_against(data, "map")
+
+
 def ink(figure) -> np.ndarray:
     """Pixels (h, w) that are not white."""
     figure.canvas.draw()
@@ -353,7 +362,10 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     command[2] = OURS
     study.main()
     assert len(ran) == 3
-    assert [row["seed"] for row in suite_rows("XS", tmp_path / "rows")["rows"]] == [0, 1, 0, 1]
+    found = suite_rows("XS", rows.parent)
+    assert [row["seed"] for row in found["rows"]] == [0, 1, 0, 1] and found["times"] == []
+    shutil.copytree(rows.parent, tmp_path / "rows_times")
+    assert suite_rows("XS", rows.parent)["times"] == found["rows"]
 
 
 def test_agreement_is_the_largest_difference_over_draws():
@@ -392,24 +404,3 @@ def test_spread_and_error_of_draws_are_shown_inside_the_mask():
     assert [text for _, text in error] == ["0.5", "0.1"]
     for picture, _ in (spread[1], error[1]):
         assert picture[0, 1].tolist() == [1, 1, 1] != picture[0, 0].tolist()
-
-
-def test_a_later_version_stands_beside_the_study_on_the_scenes_of_both(monkeypatch):
-    """A decibel more on every scene; a scene that only one has, and a method on too few, say
-    nothing.
-    """
-    monkeypatch.setattr(compared, "FEWEST", 2)
-    before = {
-        "rows": rows_of(OURS, 20, 1) + rows_of("gaussian", 18, 1, ("a",)),
-        "together": together(OURS, 0.6),
-    }
-    now = {
-        "rows": rows_of(OURS, 21, 1, ("a", "b", "c")) + rows_of("gaussian", 19, 1, ("a",)),
-        "together": together(OURS, 0.7, ("a", "b", "c")),
-    }
-    lines = compared.versions(before, now).splitlines()
-    assert lines[0] == f"|  | `{OURS}`, 2 scenes |"
-    assert "| relight PSNR, dB | 20.50 \\| 21.50: 1.00 (1.00 to 1.00) |" in lines
-    assert lines[-1] == "| 80 % intervals hold | .60 \\| .70: .10 (.10 to .10) |"
-    now["together"] = []
-    assert compared.versions(before, now).splitlines()[-1] == "| 80 % intervals hold |  |"

@@ -8,7 +8,6 @@ import pytest
 
 from benchmarks.markdown import number
 from benchmarks.study import store
-from benchmarks.study.versions import LATER
 from benchmarks.tables import __main__ as command
 from benchmarks.tables import committed
 from benchmarks.tables.pages import BETWEEN_MARKS, TABLES, filled, pages
@@ -69,7 +68,7 @@ def test_rows_say_what_made_them(file):
     assert all(about[key] for key in ("command", "commit", "machine", "data"))
 
 
-@pytest.mark.parametrize("rows", [store.ROWS, LATER], ids=lambda folder: folder.name)
+@pytest.mark.parametrize("rows", [store.ROWS, store.times_beside(store.ROWS)], ids=lambda f: f.name)
 def test_rows_of_the_study_say_what_made_them(rows):
     for file in rows.rglob("*.json"):
         row = committed.read_json(file)
