@@ -2,6 +2,7 @@
 
 python -m benchmarks.study --suite XS --methods split_gibbs_draft,map --out FOLDER
 python -m benchmarks.study --suite XS --tables
+python -m benchmarks.study --suite pairs --given SCENES --out FOLDER
 
 ROWS/<suite>/<scene>/<method> gets one JSON file for each seed (benchmarks/study/store.py); ROWS are
 the committed rows unless --rows says another folder. What is there is not made again, so that an
@@ -9,6 +10,7 @@ interrupted study goes on where it stopped, rows of several machines are added u
 committing them, and all rows are made anew with --rows naming an empty folder.
 
 FOLDER/scenes gets the suite, FOLDER/draws the pictures of which figures of several draws are made.
+With --given the scenes are those in SCENES, which benchmarks.pairs or benchmarks.make_scene made.
 Stages up to the fit, which all methods share, lie in work/<scene>; they are made once, and used as
 they lie there. A method that fails leaves its message in FOLDER/draws/<scene>/<method>/failed.txt
 and is tried again by the next run; the exit status is 1 then. --tables prints the tables with
@@ -25,10 +27,10 @@ from pathlib import Path
 
 from benchmarks.scenes import AS_CONFIGURED, ROOT, snakemake
 from benchmarks.study.methods import METHODS, methods_named
+from benchmarks.study.scenes import scenes_of
 from benchmarks.study.store import ROWS, row_file, suite_folder, suite_rows
 from benchmarks.study.tables import printed
 from benchmarks.study.together import join
-from benchmarks.suite.make import make_suite
 from pipeline.base.errors import run_stage
 from pipeline.base.progress import progress
 
@@ -63,6 +65,7 @@ def run(folder: Path, method: str, samples: int, rows: Path, draws: Path, about:
 def said(args: argparse.Namespace) -> str:
     """The command as rows say it: with FOLDER for the folder of this machine."""
     given = [f"--suite {args.suite}"]
+    given += ["--given SCENES"] if args.given else []
     given += [f"--scenes {args.scenes}"] if args.scenes else []
     given += [f"--methods {args.methods}"] if args.methods else []
     return f"python -m benchmarks.study {' '.join(given)} --samples {args.samples} --out FOLDER"
@@ -72,7 +75,7 @@ def study(args: argparse.Namespace) -> None:
     """Make the rows that are not there. Raises SystemExit where a method failed."""
     methods = methods_named(args.methods.split(",")) if args.methods else list(METHODS)
     only = args.scenes.split(",") if args.scenes else None
-    scenes = [folder.resolve() for folder in make_suite(args.suite, args.out / "scenes", only)]
+    scenes = scenes_of(args.suite, args.out / "scenes", args.given, only)
     for folder in scenes:
         prepare(folder)
 
@@ -92,6 +95,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--suite", default="XS")
+    parser.add_argument("--given", type=Path, help="folder of scenes; --suite is then their name")
     parser.add_argument("--scenes", help="names, with commas between; all if not given")
     parser.add_argument("--methods", help="names, with commas between; all if not given")
     parser.add_argument("--samples", type=int, default=3, help="draws of each method")

@@ -24,8 +24,8 @@ from benchmarks.scenes import ROOT
 from benchmarks.study.__main__ import prepare
 from benchmarks.study.methods import TEXTURE, YARDSTICKS
 from benchmarks.study.rows import SPP
+from benchmarks.study.scenes import scenes_of
 from benchmarks.study.store import ROWS, made_here, row_file, suite_folder
-from benchmarks.suite.make import make_suite
 from benchmarks.unlit import bake, photo_pixels, picture
 from pipeline.base.config import Observe
 from pipeline.base.errors import run_stage
@@ -99,20 +99,23 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--suite", default="XS")
+    parser.add_argument("--given", type=Path, help="folder of scenes; --suite is then their name")
     parser.add_argument("--rows", type=Path, default=ROWS, help="the committed ones if not given")
     parser.add_argument("--note", default="", help="what rows say besides")
     parser.add_argument("--out", type=Path, required=True, help="folder for scenes")
     args = parser.parse_args()
 
     rows = suite_folder(args.rows, args.suite)
-    command = f"python -m benchmarks.study.yardsticks --suite {args.suite} --out FOLDER"
+    given = " --given SCENES" if args.given else ""
+    command = f"python -m benchmarks.study.yardsticks --suite {args.suite}{given} --out FOLDER"
     about = {"suite": args.suite, "command": command, "note": args.note}
     about |= {"seed": 0, **made_here()}
-    for folder in progress(make_suite(args.suite, args.out / "scenes"), "yardsticks"):
+    scenes = scenes_of(args.suite, args.out / "scenes", args.given)
+    for folder in progress(scenes, "yardsticks"):
         files = {name: row_file(rows, folder.name, name, 0) for name in YARDSTICKS}
         if all(file.exists() for file in files.values()):
             continue
-        prepare(folder.resolve())
+        prepare(folder)
         work = ROOT / "work" / folder.name
         found = scores_of_scene(work, truth_of_work(folder, work))
         for name, file in files.items():

@@ -29,6 +29,7 @@ from benchmarks.study.labels import HEIGHT, apart, box_of
 from benchmarks.study.losses import losses
 from benchmarks.study.methods import METHODS, OURS, methods_named, scene_for
 from benchmarks.study.pictures import draw
+from benchmarks.study.scenes import scenes_of
 from benchmarks.study.spread_pictures import spread_rows
 from benchmarks.study.store import suite_rows
 from benchmarks.study.tables import (
@@ -130,7 +131,8 @@ def test_pieces_of_a_study_are_named_as_one():
         command.format(""),
         "a --scenes F/s --out o",
     ]
-    rows = [{"method": OURS, "command": c, "machine": "m", "commit": "c", "note": ""} for c in said]
+    about = {"suite": "S", "machine": "m", "commit": "c", "note": ""}
+    rows = [about | {"method": OURS, "command": c} for c in said]
     line = pages.source({"rows": rows})
     assert line.count(command.format("")) == 1 and "s_a__x_1" not in line
     assert "`a --scenes F/s --out o`" in line
@@ -327,7 +329,10 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     """Rows that are there are not made again; a method that fails leaves its message, and the study
     says at its end that it is not whole."""
     ran = []
-    rows = tmp_path / "rows" / "xs"
+    rows = tmp_path / "rows" / "own"
+    for scene in ("t", "s"):
+        (tmp_path / "given" / scene / "truth").mkdir(parents=True)
+        (tmp_path / "given" / scene / "truth" / "envmap.exr").touch()
 
     def process(command, **options):
         assert json.loads(command[command.index("--about") + 1]) == about
@@ -340,16 +345,14 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
                 write_json(rows / scene / method / f"{seed}.json", {"seed": int(seed)})
         return type("Done", (), {"returncode": int(failed), "stderr": "out of luck"})
 
-    monkeypatch.setattr(
-        study, "make_suite", lambda suite, out, only: [tmp_path / "s", tmp_path / "t"]
-    )
     monkeypatch.setattr(study, "prepare", lambda folder: None)
     monkeypatch.setattr(study.subprocess, "run", process)
     command = ["study", "--methods", f"{OURS},map", "--samples", "2", "--note", "busy"]
     command += ["--rows", str(tmp_path / "rows"), "--out", str(tmp_path)]
+    command += ["--suite", "own", "--given", str(tmp_path / "given")]
     monkeypatch.setattr(sys, "argv", command)
-    said = f"python -m benchmarks.study --suite XS --methods {OURS},map --samples 2 --out FOLDER"
-    about = {"suite": "XS", "command": said, "note": "busy"}
+    said = f"--suite own --given SCENES --methods {OURS},map --samples 2 --out FOLDER"
+    about = {"suite": "own", "command": f"python -m benchmarks.study {said}", "note": "busy"}
     with pytest.raises(SystemExit, match="2 of 4 methods on scenes failed"):
         study.main()
     assert len(ran) == 4
@@ -362,10 +365,24 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     command[2] = OURS
     study.main()
     assert len(ran) == 3
-    found = suite_rows("XS", rows.parent)
+    found = suite_rows("own", rows.parent)
     assert [row["seed"] for row in found["rows"]] == [0, 1, 0, 1] and found["times"] == []
     shutil.copytree(rows.parent, tmp_path / "rows_times")
-    assert suite_rows("XS", rows.parent)["times"] == found["rows"]
+    assert suite_rows("own", rows.parent)["times"] == found["rows"]
+
+
+def test_given_scenes_have_truth_and_a_name_of_their_own(tmp_path):
+    truth = tmp_path / "a" / "truth" / "envmap.exr"
+    with pytest.raises(InputError, match="no scenes with truth"):
+        scenes_of("own", tmp_path, tmp_path)
+    truth.parent.mkdir(parents=True)
+    truth.touch()
+    (tmp_path / "b").mkdir()
+    assert scenes_of("own", tmp_path, tmp_path) == [tmp_path / "a"]
+    with pytest.raises(InputError, match="'S' is a suite"):
+        scenes_of("S", tmp_path, tmp_path)
+    with pytest.raises(InputError, match="no scene 'b'"):
+        scenes_of("own", tmp_path, tmp_path, ["a", "b"])
 
 
 def test_agreement_is_the_largest_difference_over_draws():
