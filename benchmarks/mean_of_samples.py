@@ -1,14 +1,9 @@
 """What the mean of a scene's samples is worth, beside the samples.
 
-python -m benchmarks.mean_of_samples --runs FOLDER --work WORK --preset standard --out rows.json
-python -m benchmarks.mean_of_samples --draws FOLDER --sets corset__natural_studio --out rows.json
 python -m benchmarks.mean_of_samples --finished WORK --sets garden,banana --out rows.json
 
-FOLDER is one of benchmarks.parsimony on a suite, whose refined samples with `chosen` settings are
-scored against the truth (FOLDER/scenes); WORK/<scene>/atlas is the suite's. With --draws it is one
-of benchmarks.trust_runs, and the draws kept there are the samples. With --finished, WORK
-holds runs of the chain on photos without truth: what is scored are photos that were held out, as
-the refine stage scores them.
+WORK holds runs of the chain on photos without truth: what is scored are photos that were held out,
+as the refine stage scores them. Of scenes with truth the study has rows (study.methods, `_mean`).
 
 A row: `scene`, `samples`, the scores of each, and `mean`, those of `samples.mean_of`.
 """
@@ -19,7 +14,6 @@ import argparse
 from pathlib import Path
 
 from benchmarks.scenes import machine
-from benchmarks.study.methods import OURS
 from pipeline.base.config import parse_scene
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import read_json, write_json
@@ -63,18 +57,6 @@ def against_truth(scene: Path, work: Path, samples: Samples, preset: str) -> dic
     return {"scene": scene.name, "preset": preset, "samples": scored[:-1], "mean": scored[-1]}
 
 
-def of_suite(runs: Path, work: Path, preset: str, name: str) -> dict:
-    """The row of a scene of benchmarks.parsimony."""
-    samples = samples_in(runs / "work" / name / preset / "chosen" / "refine")
-    return against_truth(runs / "scenes" / name, work / name, samples, preset)
-
-
-def of_draws(runs: Path, name: str) -> dict:
-    """The row of a scene of benchmarks.trust_runs."""
-    samples = samples_in(runs / "draws" / name / OURS)
-    return against_truth(runs / "scenes" / name, runs / "work" / name, samples, OURS)
-
-
 def on_held_out(work: Path, preset: str) -> dict:
     """The row of a finished run on photos."""
     scene = chosen_scene(
@@ -96,33 +78,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--runs", type=Path, metavar="FOLDER", help="of benchmarks.parsimony")
-    parser.add_argument("--work", type=Path, default=Path("work"), help="of the suite's scenes")
-    parser.add_argument("--draws", type=Path, metavar="FOLDER", help="of benchmarks.trust_runs")
-    parser.add_argument("--finished", type=Path, metavar="WORK", help="of runs on photos")
-    parser.add_argument("--sets", help="names of its scenes, with commas between")
+    parser.add_argument("--finished", type=Path, metavar="WORK", required=True)
+    parser.add_argument("--sets", required=True, help="names in WORK, with commas between")
     parser.add_argument("--preset", default="standard")
     parser.add_argument("--out", type=Path, required=True, help="JSON file for all rows")
     args = parser.parse_args()
-    kinds = sum(map(bool, (args.runs, args.draws, args.finished)))
-    if kinds != 1 or bool(args.runs) == bool(args.sets):
-        fact = "give --runs, or --draws or --finished, and --sets to these"
-        raise InputError(fact, "benchmarks.mean_of_samples", "see --help")
 
     set_threads(1)
     rows = read_json(args.out)["rows"] if args.out.exists() else []
-    if args.runs:
-        found = sorted(path.parent.parent.name for path in args.runs.glob("work/*/*/row.json"))
-        make = lambda name: of_suite(args.runs, args.work, args.preset, name)
-    elif args.draws:
-        found = args.sets.split(",")
-        make = lambda name: of_draws(args.draws, name)
-    else:
-        found = args.sets.split(",")
-        make = lambda name: on_held_out(args.finished / name, args.preset)
     done = {row["scene"] for row in rows}
-    for name in progress([name for name in found if name not in done], "means of samples"):
-        rows.append(make(name))
+    for name in progress(
+        [name for name in args.sets.split(",") if name not in done], "means of samples"
+    ):
+        rows.append(on_held_out(args.finished / name, args.preset))
         write_json(args.out, {"machine": machine(), "rows": rows})
 
 

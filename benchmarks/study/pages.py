@@ -28,6 +28,7 @@ from benchmarks.study.tables import (
 from benchmarks.tables import committed
 
 SUITE = "S"  # the one that the pages show
+PAIRS = "pairs"  # what rows of the scenes of benchmarks.pairs are called
 
 
 def source(data: dict, methods: Collection[str] = METHODS) -> str:
@@ -46,7 +47,7 @@ def said_of(rows: list[dict], folder: Path) -> str:
     # made in pieces, of some scenes each, which the rows say
     whole = lambda command: re.sub(r" --scenes [\w,]+(?= )", "", command)
     commands = ", ".join(f"`{command}`" for command in dict.fromkeys(map(whole, said("command"))))
-    place = suite_folder(Path(folder.name), SUITE)
+    place = suite_folder(Path(folder.name), rows[0]["suite"])
     link = f"[{place}](../benchmarks/results/{place}), a file for each row"
     made = "; ".join([commands, ", ".join(said("machine")), ", ".join(said("commit"))])
     return f"\n<sub>{link}: {made}. {' '.join(said('note'))}</sub>\n"
@@ -85,13 +86,23 @@ OF_ROWS: dict[str, Callable[[dict], str]] = {
 }
 
 
-def of_study(make: Callable[[dict], str]) -> Callable[[], str]:
-    """A table of the committed rows."""
-    return lambda: make(suite_rows(SUITE))
+OF_PAIRS: dict[str, Callable[[dict], str]] = {
+    "pairs_scores": lambda data: scores(data) + source(data),
+    "pairs_draws": draws,
+    "pairs_by_scene": by_scene,
+    "pairs_levels": levels,
+    "pairs_losses": lambda data: losses(data, "dpi_paper_1000"),
+}
+
+
+def of_study(make: Callable[[dict], str], suite: str) -> Callable[[], str]:
+    """A table of the committed rows of a suite."""
+    return lambda: make(suite_rows(suite))
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    **{name: of_study(make) for name, make in OF_ROWS.items()},
+    **{name: of_study(make, SUITE) for name, make in OF_ROWS.items()},
+    **{name: of_study(make, PAIRS) for name, make in OF_PAIRS.items()},
     "study_declarations": declarations,
     "study_agreement": lambda: (
         agreement_table.table(committed.rows_of("study_agreement"))

@@ -41,7 +41,7 @@ def table() -> str:
         [name]
         + [f"{mean_held(scenes, common, LEVEL):.2f}" for common in COMMON]
         + [f"{mean_held(scenes, COMMON_ERROR, level):.2f}" for level in OTHERS]
-        for name, scenes in (of_refined() | of_study("S")).items()
+        for name, scenes in (of_refined() | of_study("S") | of_study("pairs")).items()
     ]
     head = ["suite and method", *(f"80 % hold, {common:g} in common" for common in COMMON)]
     head += [f"{level.replace('%', ' %')} hold, {COMMON_ERROR:g}" for level in OTHERS]

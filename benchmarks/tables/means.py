@@ -1,10 +1,17 @@
-"""The mean of a scene's samples beside the samples (benchmarks/mean_of_samples.py)."""
+"""The mean of a scene's samples beside the samples: of the study's rows where truth is known, of
+benchmarks/mean_of_samples.py for photos.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 
 from benchmarks.markdown import number, pipe_table
+from benchmarks.study.store import suite_rows
+from benchmarks.study.tables import rows_for, scenes_in
 from benchmarks.tables.committed import rows_of, source
 from pipeline.render.declared import METRICS
 
@@ -16,7 +23,9 @@ SCORES = (
     "roughness_mse",
     "metallic_mse",
 )
-SUITES = {"means_s": "S", "means_w": "W", "means_pairs": "pairs"}  # files of rows
+SUITES = ("S", "pairs")  # of the study's rows
+PRESETS = ("draft", "standard")
+AHEAD = "relight_psnr"  # by which scenes are counted
 PHOTOS = "means_photos"
 
 
@@ -36,17 +45,34 @@ def cell(rows: list[dict], score: str) -> str:
     return f"{a} \\| {b} ({ahead.mean():+.{digits}f} ± {error:.{digits}f})"
 
 
+def of_study(data: dict, preset: str) -> list[dict]:
+    """A row of each scene of a study: scores of its `samples` by a preset, and of their `mean`."""
+    scores = lambda scene, method: [row["scores"] for row in rows_for(data, scene, method)]
+    return [
+        {"samples": scores(scene, f"preset_{preset}"), "mean": mean}
+        for scene in scenes_in(data)
+        for mean in scores(scene, f"preset_{preset}_mean")
+    ]
+
+
+def ahead(rows: list[dict], of: Callable[[list[float]], float]) -> str:
+    """On how many scenes the mean relights better than `of` its samples."""
+    wins = [row["mean"][AHEAD] > of([sample[AHEAD] for sample in row["samples"]]) for row in rows]
+    return f"{sum(wins)} of {len(wins)}"
+
+
 def of_suites() -> str:
-    """Suites down, scores across."""
+    """Suites and presets down, scores across."""
     body = []
-    for file, suite in SUITES.items():
-        rows = rows_of(file)
-        count = len(rows[0]["samples"])
-        name = f"{suite}, `{rows[0]['preset']}`, {len(rows)} scenes, {count} samples"
-        body.append([name, *(cell(rows, score) for score in SCORES)])
+    for suite, preset in product(SUITES, PRESETS):
+        rows = of_study(suite_rows(suite), preset)
+        name = f"{suite}, `{preset}`, {len(rows)} scenes, {len(rows[0]['samples'])} samples"
+        wins = [ahead(rows, lambda values: float(np.mean(values))), ahead(rows, max)]
+        body.append([name, *(cell(rows, score) for score in SCORES), *wins])
     units = {"": ""} | {METRICS[s].unit: f", {METRICS[s].unit}" for s in SCORES if METRICS[s].unit}
     head = ["", *(METRICS[score].title + units[METRICS[score].unit] for score in SCORES)]
-    return pipe_table(head, body) + "".join(source(file) for file in SUITES)
+    head += ["relights better than its samples on average", "than the best of them"]
+    return pipe_table(head, body)
 
 
 def of_photos() -> str:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.mean_of_samples import samples_in, with_mean
-from benchmarks.tables.means import SCORES, cell, pairs
+from benchmarks.tables.means import SCORES, ahead, cell, of_study, pairs
 from pipeline.base.errors import InputError
 from pipeline.render.stacking import LeftOut
 from tests.render.test_renderer import explanation
@@ -43,3 +43,12 @@ def test_a_scene_counts_once_however_many_samples_it_has():
     """Samples 21, 22, 23 in the mean, their means 23, 25, 27: ahead by 2, 3, 4."""
     np.testing.assert_allclose(pairs(ROWS, "relight_psnr"), [[21, 23], [22, 25], [23, 27]])
     assert cell(ROWS, "relight_psnr") == "22.0 \\| 25.0 (+3.0 ± 0.6)"
+    assert ahead(ROWS, min) == "3 of 3" and ahead(ROWS[:1] + ROWS, sum) == "0 of 4"
+
+
+def test_samples_and_means_of_a_study_are_joined_by_scene():
+    """A scene without a mean is left out."""
+    at = lambda scene, method, score: {"scene": scene, "method": method, "scores": score}
+    rows = [at("a", "preset_draft", 1), at("a", "preset_draft", 2), at("b", "preset_draft", 3)]
+    rows += [at("a", "preset_draft_mean", 4), at("a", "preset_standard_mean", 5)]
+    assert of_study({"rows": rows}, "draft") == [{"samples": [1, 2], "mean": 4}]
