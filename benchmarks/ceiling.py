@@ -21,8 +21,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from benchmarks.from_photos import OWN
-from benchmarks.mean_of_samples import SPP
+from benchmarks.from_photos import OWN, SPP
 from benchmarks.scenes import machine
 from benchmarks.true_maps import texture_values
 from pipeline.base.errors import run_stage

@@ -22,17 +22,21 @@ from pathlib import Path
 
 from benchmarks import unlit
 from benchmarks.geometry import compare
-from benchmarks.mean_of_samples import against_truth, samples_in
+from benchmarks.mean_of_samples import samples_in, with_mean
 from benchmarks.scenes import ROOT, machine, run
 from pipeline.base.config import Observe
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import read_json, stage_folder, write_json
 from pipeline.base.runtime import set_threads
+from pipeline.render.renderer import Renderer
+from pipeline.report.score import MAX_DEPTH, score_explanation
+from pipeline.report.truth import truth_of_work
 
 OWN = "own"
 GIVEN = "given"
 CAMERAS = ("transforms.json", "transforms_test.json")  # train and test
 SAMPLES = 2
+SPP = 32  # paths per pixel of pictures that are scored against the truth
 
 
 def without_mesh(folder: Path) -> Path:
@@ -58,16 +62,26 @@ def without_mesh(folder: Path) -> Path:
     return out
 
 
-def row_of(folder: Path, made_from: Path, preset: str) -> dict:
+def against_truth(folder: Path, work: Path) -> dict:
+    """Scores of the `samples` of a finished run in `work`, and of their `mean`."""
+    truth = truth_of_work(folder, work)
+    mesh, rows = work / "atlas" / "mesh_uv.ply", len(truth.known_light())
+    scored = []
+    for x in with_mean(samples_in(work / "refine")):
+        renderer = Renderer(mesh, len(x.base_color), rows, MAX_DEPTH)
+        scored.append(score_explanation(renderer, x, truth, SPP).values)
+    return {"samples": scored[:-1], "mean": scored[-1]}
+
+
+def row_of(folder: Path, made_from: Path) -> dict:
     """The row of a finished run. folder: with the truth; made_from: what the chain read."""
     work = ROOT / "work" / made_from.name
     surface = GIVEN if made_from == folder else OWN
-    scored = against_truth(folder, work, samples_in(work / "refine"), preset)
     row = {
         "scene": folder.name,
         "surface": surface,
         "photos": unlit.row(work, Observe().erode),
-        "truth": {key: scored[key] for key in ("samples", "mean")},
+        "truth": against_truth(folder, work),
         "trust": read_json(work / "report.json")["trust"],
     }
     if surface == OWN:
@@ -99,7 +113,7 @@ def main() -> None:
                 continue
             made_from = without_mesh(folder) if surface == OWN else folder
             run(made_from, args.preset, args.samples, [])
-            rows.append(row_of(folder, made_from, args.preset))
+            rows.append(row_of(folder, made_from))
             about = {"machine": machine(), "preset": args.preset, "rows": rows}
             write_json(args.out, about)
 

@@ -25,10 +25,6 @@ from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.render.samples import FEWEST, Samples, mean_of
 from pipeline.report.make import HeldOut
-from pipeline.report.score import MAX_DEPTH, score_explanation
-from pipeline.report.truth import truth_of_work
-
-SPP = 32  # paths per pixel of pictures that are scored against the truth
 
 
 def samples_in(folder: Path) -> Samples:
@@ -44,17 +40,6 @@ def with_mean(samples: Samples) -> list[Explanation]:
     mean = mean_of(samples, samples.weights)
     assert mean is not None  # there are two at least
     return [*samples, mean]
-
-
-def against_truth(scene: Path, work: Path, samples: Samples, preset: str) -> dict:
-    """The row of a scene folder with truth, whose stages lie in `work`."""
-    truth = truth_of_work(scene, work)
-    mesh, rows = work / "atlas" / "mesh_uv.ply", len(truth.known_light())
-    scored = []
-    for x in with_mean(samples):
-        renderer = Renderer(mesh, len(x.base_color), rows, MAX_DEPTH)
-        scored.append(score_explanation(renderer, x, truth, SPP).values)
-    return {"scene": scene.name, "preset": preset, "samples": scored[:-1], "mean": scored[-1]}
 
 
 def on_held_out(work: Path, preset: str) -> dict:
@@ -87,9 +72,8 @@ def main() -> None:
     set_threads(1)
     rows = read_json(args.out)["rows"] if args.out.exists() else []
     done = {row["scene"] for row in rows}
-    for name in progress(
-        [name for name in args.sets.split(",") if name not in done], "means of samples"
-    ):
+    left = [name for name in args.sets.split(",") if name not in done]
+    for name in progress(left, "means of samples"):
         rows.append(on_held_out(args.finished / name, args.preset))
         write_json(args.out, {"machine": machine(), "rows": rows})
 

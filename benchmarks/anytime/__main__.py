@@ -21,8 +21,8 @@ from benchmarks.scenes import ROOT
 from benchmarks.study.__main__ import prepare
 from benchmarks.study.methods import METHODS, scene_for
 from benchmarks.study.rows import SPP, Clock, loader
+from benchmarks.study.scenes import scenes_of
 from benchmarks.study.store import made_here
-from benchmarks.suite.make import make_suite
 from pipeline.base.config import Scene
 from pipeline.base.errors import InputError, nearest, run_stage
 from pipeline.base.files import write_json
@@ -129,7 +129,7 @@ def main() -> None:
 
     methods = with_stops(args.methods.split(","))
     only = args.scenes.split(",") if args.scenes else None
-    scenes = [folder.resolve() for folder in make_suite(args.suite, args.out / "scenes", only)]
+    scenes = scenes_of(args.suite, args.out / "scenes", only=only)
     for folder in scenes:
         prepare(folder)
     set_threads(1)

@@ -26,8 +26,8 @@ import sys
 from pathlib import Path
 
 from benchmarks.scenes import AS_CONFIGURED, ROOT, snakemake
+from benchmarks.study import scenes
 from benchmarks.study.methods import METHODS, methods_named
-from benchmarks.study.scenes import scenes_of
 from benchmarks.study.store import ROWS, row_file, suite_folder, suite_rows
 from benchmarks.study.tables import printed
 from benchmarks.study.together import join
@@ -64,8 +64,7 @@ def run(folder: Path, method: str, samples: int, rows: Path, draws: Path, about:
 
 def said(args: argparse.Namespace) -> str:
     """The command as rows say it: with FOLDER for the folder of this machine."""
-    given = [f"--suite {args.suite}"]
-    given += ["--given SCENES"] if args.given else []
+    given = [scenes.said(args)]
     given += [f"--scenes {args.scenes}"] if args.scenes else []
     given += [f"--methods {args.methods}"] if args.methods else []
     return f"python -m benchmarks.study {' '.join(given)} --samples {args.samples} --out FOLDER"
@@ -75,13 +74,13 @@ def study(args: argparse.Namespace) -> None:
     """Make the rows that are not there. Raises SystemExit where a method failed."""
     methods = methods_named(args.methods.split(",")) if args.methods else list(METHODS)
     only = args.scenes.split(",") if args.scenes else None
-    scenes = scenes_of(args.suite, args.out / "scenes", args.given, only)
-    for folder in scenes:
+    folders = scenes.scenes_of(args.suite, args.out / "scenes", args.given, only)
+    for folder in folders:
         prepare(folder)
 
     rows, draws = suite_folder(args.rows, args.suite), args.out / "draws"
     about = {"suite": args.suite, "command": said(args), "note": args.note}
-    jobs = [(folder, method) for method in methods for folder in scenes]
+    jobs = [(folder, method) for method in methods for folder in folders]
     made = []
     for folder, method in progress(jobs, "study"):
         made.append(run(folder, method, args.samples, rows, draws, about))
@@ -94,8 +93,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--suite", default="XS")
-    parser.add_argument("--given", type=Path, help="folder of scenes; --suite is then their name")
+    scenes.add_options(parser)
     parser.add_argument("--scenes", help="names, with commas between; all if not given")
     parser.add_argument("--methods", help="names, with commas between; all if not given")
     parser.add_argument("--samples", type=int, default=3, help="draws of each method")

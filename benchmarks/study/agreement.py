@@ -19,8 +19,8 @@ from benchmarks.study.__main__ import prepare
 from benchmarks.study.agreement_table import table
 from benchmarks.study.methods import methods_named
 from benchmarks.study.rows import SPP, measure
+from benchmarks.study.scenes import scenes_of
 from benchmarks.study.store import row_file
-from benchmarks.suite.make import make_suite
 from pipeline.base.errors import run_stage
 from pipeline.base.files import read_json, write_json
 from pipeline.base.progress import progress
@@ -64,7 +64,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     set_threads(1)
-    scenes = [folder.resolve() for folder in make_suite(args.suite, args.out / "scenes")]
+    scenes = scenes_of(args.suite, args.out / "scenes")
     for folder in scenes:
         prepare(folder)
     jobs = [(folder, m) for m in methods_named(args.methods.split(",")) for folder in scenes]

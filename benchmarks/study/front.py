@@ -156,8 +156,9 @@ def speed_against(data: dict, slow: str = "dpi_paper_1000") -> str:
     """How many times as long as a draw of ours another method takes on the scenes it has rows of,
     refinement included, in one sentence.
     """
-    scenes = {row["scene"] for row in timing(data) if row["method"] == slow}
-    same = {"rows": [row for row in timing(data) if row["scene"] in scenes]}
+    rows = timing(data)
+    scenes = {row["scene"] for row in rows if row["method"] == slow}
+    same = {"rows": [row for row in rows if row["scene"] in scenes]}
     spent = {method: seconds(same, method) for method in methods_in(same)}
     ours = {m: s for m, s in spent.items() if s is not None and is_draw_of_ours(m)}
     theirs = spent.get(slow)

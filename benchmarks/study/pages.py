@@ -12,7 +12,7 @@ from benchmarks.study import agreement_table, yardstick_tables
 from benchmarks.study.front import coverage_choice, relight_choice, speed_against
 from benchmarks.study.losses import losses
 from benchmarks.study.methods import METHODS, YARDSTICKS
-from benchmarks.study.store import ROWS, suite_folder, suite_rows, times_beside
+from benchmarks.study.store import PAIRS, ROWS, SUITE, suite_folder, suite_rows, times_beside
 from benchmarks.study.tables import (
     by_scene,
     costs,
@@ -23,12 +23,8 @@ from benchmarks.study.tables import (
     likeness,
     scores,
     timed,
-    timing,
 )
 from benchmarks.tables import committed
-
-SUITE = "S"  # the one that the pages show
-PAIRS = "pairs"  # what rows of the scenes of benchmarks.pairs are called
 
 
 def source(data: dict, methods: Collection[str] = METHODS) -> str:
@@ -38,7 +34,7 @@ def source(data: dict, methods: Collection[str] = METHODS) -> str:
 
 def times_source(data: dict) -> str:
     """The line below a table of times."""
-    return said_of(timing(data), times_beside(ROWS) if data["times"] else ROWS)
+    return said_of(data["times"], times_beside(ROWS))
 
 
 def said_of(rows: list[dict], folder: Path) -> str:
@@ -88,6 +84,7 @@ OF_ROWS: dict[str, Callable[[dict], str]] = {
 
 OF_PAIRS: dict[str, Callable[[dict], str]] = {
     "pairs_scores": lambda data: scores(data) + source(data),
+    "pairs_yardsticks": lambda data: yardstick_tables.table(data) + source(data, YARDSTICKS),
     "pairs_draws": draws,
     "pairs_by_scene": by_scene,
     "pairs_levels": levels,

@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
-from benchmarks.suite.make import SUITES, make_suite
-from pipeline.base.errors import InputError, nearest
+from benchmarks.suite.make import SUITES, make_suite, scenes_named
+from pipeline.base.errors import InputError
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """`suite` and `given`, which `scenes_of` takes."""
+    parser.add_argument("--suite", default="XS")
+    parser.add_argument("--given", type=Path, help="folder of scenes; --suite is then their name")
+
+
+def said(args: argparse.Namespace) -> str:
+    """These options as rows say them: with SCENES for the folder of this machine."""
+    return f"--suite {args.suite}" + (" --given SCENES" if args.given else "")
 
 
 def scenes_of(
@@ -20,11 +32,9 @@ def scenes_of(
     if suite in SUITES:
         cure = "rows of given scenes need a name of their own: --suite NAME"
         raise InputError(f"'{suite}' is a suite that is made here", "--suite", cure)
-    found = {file.parents[1].name: file.parents[1] for file in given.glob("*/truth/envmap.exr")}
+    found = sorted(file.parents[1].name for file in given.glob("*/truth/envmap.exr"))
     if not found:
         cure = "benchmarks.pairs and benchmarks.make_scene make some"
         raise InputError("there are no scenes with truth/envmap.exr", given, cure)
-    for asked in only or []:
-        if asked not in found:
-            raise InputError(f"{given} has no scene '{asked}'", "--scenes", nearest(asked, found))
-    return [found[name].resolve() for name in sorted(found) if only is None or name in only]
+    wanted = scenes_named(only, found, str(given), "--scenes")
+    return [(given / name).resolve() for name in wanted]

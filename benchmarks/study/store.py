@@ -17,6 +17,8 @@ from pipeline.base.files import read_json
 
 ROWS = RESULTS / "study"
 TOGETHER = "together.json"
+SUITE = "S"  # the one that the pages show
+PAIRS = "pairs"  # what rows of the scenes of benchmarks.pairs are called
 
 
 def made_here() -> dict[str, str]:

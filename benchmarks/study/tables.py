@@ -95,14 +95,15 @@ def timed(data: dict, method: str) -> list[dict]:
     most of them, which are the reference; the same processor is up to 1.4 times as fast on another
     day. Empty where these lack a scene.
     """
-    of = lambda name: [row for row in timing(data) if row["method"] == name]
+    found = timing(data)
+    of = lambda name: [row for row in found if row["method"] == name]
     where = lambda row: (row["machine"], row.get("date"))
     places = [where(row) for row in of(OURS)]
     if not places:
         return []
     place = max(places, key=places.count)
     rows = [row for row in of(method) if where(row) == place]
-    return rows if {row["scene"] for row in rows} == {row["scene"] for row in timing(data)} else []
+    return rows if {row["scene"] for row in rows} == {row["scene"] for row in found} else []
 
 
 def seconds(data: dict, method: str) -> float | None:

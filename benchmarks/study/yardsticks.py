@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.scenes import ROOT
+from benchmarks.study import scenes
 from benchmarks.study.__main__ import prepare
 from benchmarks.study.methods import TEXTURE, YARDSTICKS
 from benchmarks.study.rows import SPP
-from benchmarks.study.scenes import scenes_of
 from benchmarks.study.store import ROWS, made_here, row_file, suite_folder
 from benchmarks.unlit import bake, photo_pixels, picture
 from pipeline.base.config import Observe
@@ -98,20 +98,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--suite", default="XS")
-    parser.add_argument("--given", type=Path, help="folder of scenes; --suite is then their name")
+    scenes.add_options(parser)
     parser.add_argument("--rows", type=Path, default=ROWS, help="the committed ones if not given")
     parser.add_argument("--note", default="", help="what rows say besides")
     parser.add_argument("--out", type=Path, required=True, help="folder for scenes")
     args = parser.parse_args()
 
     rows = suite_folder(args.rows, args.suite)
-    given = " --given SCENES" if args.given else ""
-    command = f"python -m benchmarks.study.yardsticks --suite {args.suite}{given} --out FOLDER"
+    command = f"python -m benchmarks.study.yardsticks {scenes.said(args)} --out FOLDER"
     about = {"suite": args.suite, "command": command, "note": args.note}
     about |= {"seed": 0, **made_here()}
-    scenes = scenes_of(args.suite, args.out / "scenes", args.given)
-    for folder in progress(scenes, "yardsticks"):
+    folders = scenes.scenes_of(args.suite, args.out / "scenes", args.given)
+    for folder in progress(folders, "yardsticks"):
         files = {name: row_file(rows, folder.name, name, 0) for name in YARDSTICKS}
         if all(file.exists() for file in files.values()):
             continue

@@ -15,6 +15,7 @@ each of four kinds, tiny pictures, for figures that need many scenes.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,17 +106,25 @@ def make_suite(name: str, out: Path, only: list[str] | None = None) -> list[Path
     """
     suite = suite_named(name)
     known = {scene_name(name, *pair): pair for pair in suite.pairs}
-    for asked in only or []:
-        if asked not in known:
-            raise InputError(f"suite {name} has no scene '{asked}'", "", nearest(asked, known))
-
-    wanted = known if only is None else only
+    wanted = scenes_named(only, known, f"suite {name}", "")
     out.mkdir(parents=True, exist_ok=True)
-    for scene in (scene for scene in known if scene in wanted):
+    for scene in wanted:
         with alone(out / f"making_{scene}", wait=True):  # studies may share a folder of scenes
             if not (out / scene).exists():
                 make_one(suite, *known[scene], out, out / scene)
-    return [out / scene for scene in known if scene in wanted]
+    return [out / scene for scene in wanted]
+
+
+def scenes_named(
+    only: list[str] | None, known: Collection[str], place: str, where: str
+) -> list[str]:
+    """The scenes `known` in `place`, in their order; `only`: names of those that are wanted, none:
+    all. Raises InputError, said of the option `where`, for an unknown one.
+    """
+    for asked in only or []:
+        if asked not in known:
+            raise InputError(f"{place} has no scene '{asked}'", where, nearest(asked, known))
+    return [scene for scene in known if only is None or scene in only]
 
 
 def make_one(suite: Suite, thing: str, light: str, out: Path, folder: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.markdown import pipe_table
-from benchmarks.study.store import suite_rows
+from benchmarks.study.store import PAIRS, SUITE, suite_rows
 from benchmarks.study.together import COMMON
 from benchmarks.tables.committed import rows_of
 from pipeline.render.draw_metrics import COMMON_ERROR
@@ -41,7 +41,7 @@ def table() -> str:
         [name]
         + [f"{mean_held(scenes, common, LEVEL):.2f}" for common in COMMON]
         + [f"{mean_held(scenes, COMMON_ERROR, level):.2f}" for level in OTHERS]
-        for name, scenes in (of_refined() | of_study("S") | of_study("pairs")).items()
+        for name, scenes in (of_refined() | of_study(SUITE) | of_study(PAIRS)).items()
     ]
     head = ["suite and method", *(f"80 % hold, {common:g} in common" for common in COMMON)]
     head += [f"{level.replace('%', ' %')} hold, {COMMON_ERROR:g}" for level in OTHERS]

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from benchmarks.markdown import number, pipe_table
-from benchmarks.study.store import suite_rows
+from benchmarks.study.store import PAIRS, SUITE, suite_rows
 from benchmarks.study.tables import rows_for, scenes_in
 from benchmarks.tables.committed import rows_of, source
 from pipeline.render.declared import METRICS
@@ -23,7 +23,6 @@ SCORES = (
     "roughness_mse",
     "metallic_mse",
 )
-SUITES = ("S", "pairs")  # of the study's rows
 PRESETS = ("draft", "standard")
 AHEAD = "relight_psnr"  # by which scenes are counted
 PHOTOS = "means_photos"
@@ -64,8 +63,9 @@ def ahead(rows: list[dict], of: Callable[[list[float]], float]) -> str:
 def of_suites() -> str:
     """Suites and presets down, scores across."""
     body = []
-    for suite, preset in product(SUITES, PRESETS):
-        rows = of_study(suite_rows(suite), preset)
+    found = {suite: suite_rows(suite) for suite in (SUITE, PAIRS)}
+    for suite, preset in product(found, PRESETS):
+        rows = of_study(found[suite], preset)
         name = f"{suite}, `{preset}`, {len(rows)} scenes, {len(rows[0]['samples'])} samples"
         wins = [ahead(rows, lambda values: float(np.mean(values))), ahead(rows, max)]
         body.append([name, *(cell(rows, score) for score in SCORES), *wins])
