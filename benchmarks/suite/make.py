@@ -106,7 +106,7 @@ def make_suite(name: str, out: Path, only: list[str] | None = None) -> list[Path
     """
     suite = suite_named(name)
     known = {scene_name(name, *pair): pair for pair in suite.pairs}
-    wanted = scenes_named(only, known, f"suite {name}", "")
+    wanted = scenes_named(only, known, f"suite {name}")
     out.mkdir(parents=True, exist_ok=True)
     for scene in wanted:
         with alone(out / f"making_{scene}", wait=True):  # studies may share a folder of scenes
@@ -116,10 +116,10 @@ def make_suite(name: str, out: Path, only: list[str] | None = None) -> list[Path
 
 
 def scenes_named(
-    only: list[str] | None, known: Collection[str], place: str, where: str
+    only: list[str] | None, known: Collection[str], place: str, where: str | None = None
 ) -> list[str]:
     """The scenes `known` in `place`, in their order; `only`: names of those that are wanted, none:
-    all. Raises InputError, said of the option `where`, for an unknown one.
+    all. Raises InputError for an unknown one, said of the option `where` if one is named.
     """
     for asked in only or []:
         if asked not in known:

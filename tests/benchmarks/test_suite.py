@@ -224,3 +224,10 @@ def test_a_study_does_not_wait_for_scenes_that_it_does_not_want(monkeypatch, tmp
         assert not (tmp_path / first).exists()
         may_end.set()
         assert slow.result() == [tmp_path / first]
+
+
+def test_an_unknown_scene_is_named_with_its_suite(tmp_path):
+    with pytest.raises(InputError) as refused:
+        make_suite("XS", tmp_path / "out", ["xs_vase__room_99"])
+    assert str(refused.value).startswith("suite XS has no scene 'xs_vase__room_99'")
+    assert not (tmp_path / "out").exists()
