@@ -3,7 +3,7 @@ alone.
 """
 
 import pickle
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import get_args
 
@@ -140,6 +140,28 @@ def test_metal_or_not_is_settled_before_the_rest(raced):
     raced.clear()
     assert sampler.best_after_sweeps(rng, None, stay)[1] == "late"
     assert raced == ["soon"] * sampler.FIRST_SWEEPS + ["late"] * sampler.FIRST_SWEEPS
+
+
+@dataclass(frozen=True)
+class Counted:
+    """A state that knows its sweeps."""
+
+    sweeps: int
+    odds: float
+
+
+def test_further_sweeps_are_taken_by_their_odds(monkeypatch):
+    """All of them while they explain more; none that makes a state hopeless."""
+    monkeypatch.setattr(sampler, "log_odds", lambda rng, model, state: state.odds)
+    rng = Randomness(numpy_rng(0), torch.Generator())
+    for gain, turns in ((1e3, sampler.TURNS), (-1e3, 0)):
+
+        def sweep(rng, model, state, count, place, gain=gain):
+            return Counted(state.sweeps + count, state.odds + gain)
+
+        monkeypatch.setattr(sampler, "gaussian_sweeps", sweep)
+        state = sampler.swept_on(rng, None, Counted(0, 0.0))
+        assert state.sweeps == turns * sampler.TURN_SWEEPS
 
 
 def test_more_than_half_of_the_points_make_a_metal():

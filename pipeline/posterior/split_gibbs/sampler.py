@@ -57,6 +57,8 @@ SMOOTH = 2.0
 # counts in full: what they leave over shows the noise's correlation), and then with rows thinned
 # (the last sweeps that move the light's brightness freely, so with the errors it has)
 KIND_SWEEPS, FIRST_SWEEPS, THINNED_SWEEPS = 1, 2, 1
+# further sweeps of the one start that is taken: how often, and how many before its odds decide
+TURNS, TURN_SWEEPS = 6, 2
 # starts that take sweeps; one whose log odds are so far below the best's takes none
 MOST, BEHIND = 4, 150.0
 # material steps at a start's light, for colours and noise: it is too smooth to tell of gloss
@@ -115,7 +117,7 @@ def last_of(states: Iterator[State]) -> State:
 
 
 def start(rng: Randomness, model: Model, state: State) -> Generator[State, None, State]:
-    """Steps 2 and 3: the best start after 2b, the one taken after 2c, and a draw under the Gaussian
+    """Steps 2 and 3: the best start after 2b, the one taken after 2d, and a draw under the Gaussian
     prior, which is returned too. Their codes are ones of the diffusion prior.
     """
     settings = model.settings
@@ -132,6 +134,9 @@ def start(rng: Randomness, model: Model, state: State) -> Generator[State, None,
 
     # 2c  which of these, by how well all photos are
     state = best_after_sweeps(rng, model, states)
+
+    # 2d  the points' materials and the light go on until they fit
+    state = swept_on(rng, model, state)
     yield as_diffusion(model, state)
 
     # 3  rows that err together count less
@@ -180,6 +185,19 @@ def best_after_sweeps(rng: Randomness, model: Model, states: list[State]) -> Sta
     states = swept(rng, model, states, FIRST_SWEEPS)
     odds = odds_of(rng, model, states)
     return states[categorical(odds[None], rng.numpy)[0]]
+
+
+def swept_on(rng: Randomness, model: Model, state: State) -> State:
+    """Step 2d: the state after further sweeps, a few at a time, each time taken or not by its odds,
+    as in a Metropolis step.
+    """
+    odds = log_odds(rng, model, state)
+    for _ in range(TURNS):
+        moved = gaussian_sweeps(rng, model, state, TURN_SWEEPS, likeliest_light)
+        then = log_odds(rng, model, moved)
+        if np.log(rng.numpy.random()) < then - odds:
+            state, odds = moved, then
+    return state
 
 
 def swept(rng: Randomness, model: Model, states: list[State], count: int) -> list[State]:
