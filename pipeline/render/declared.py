@@ -27,7 +27,7 @@ class Metric:
 SEEN = "sRGB in [0, 1], 67 pixels a degree"
 SRGB = "sRGB in [0, 1], noise of both renders left out"
 LINEAR = "linear Rec.709"
-FACTOR = "one factor per channel, least squares over a light's views"
+FACTOR = "the best factor per channel for a light's views"
 
 METRICS: dict[str, Metric] = {
     "relight_psnr": Metric("relight PSNR", "dB", "higher", SRGB, OBJECT),

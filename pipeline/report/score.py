@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from pipeline.base.errors import InputError
 from pipeline.base.images import linear_to_srgb
@@ -23,7 +24,7 @@ from pipeline.render.draw_metrics import crps, sample_variance
 from pipeline.render.envmap import resample_area, solid_angles
 from pipeline.render.light_metrics import light_errors, ssim_map
 from pipeline.render.map_metrics import map_errors
-from pipeline.render.metrics import flip_map, psnr, render_twice
+from pipeline.render.metrics import crossed_error, flip_map, psnr, render_twice
 from pipeline.render.observe import Tracer
 from pipeline.render.renderer import Explanation, Renderer
 from pipeline.render.samples import MEAN
@@ -33,6 +34,7 @@ from pipeline.usd.read import UsdAsset, open_stage, read_asset, variants_of
 SPP = 128  # paths per pixel, half of them for each of the two pictures
 MAX_DEPTH = 6  # path vertices after the camera, as the truth was rendered with
 LIGHT_ROWS = 32  # at which lights are compared, whatever their own size
+FACTORS = 4.0  # log of the largest factor, and of the smallest, that a channel is aligned by
 LEAST_OVERLAP = 0.2  # of outlines, below which an asset stands elsewhere than the cameras think
 
 
@@ -97,18 +99,59 @@ def picture_flip(pair: np.ndarray, shown: Picture, mask: np.ndarray) -> float:
     return float(flip_map(*on_black(pair, shown, mask))[mask].mean())
 
 
-def channel_factor(
+def best_factor(
     pairs: list[np.ndarray], shown: list[Picture], masks: list[np.ndarray]
 ) -> np.ndarray:
-    """Least-squares factor (3,) that brings linear pictures nearest to the truth, sum a t / sum a
-    a', with a and a' independent renders.
+    """Factor (3,) of linear pictures (2, h, w, 3) under which the error that `picture_psnr` is of
+    is least over all of them, within e^-FACTORS to e^FACTORS.
+
+    Least squares of linear radiance are led by highlights, which pictures of sRGB values in [0, 1]
+    show as white, however bright: one that is a little too wide pulls all else down.
     """
-    over = np.zeros(3)
-    under = np.zeros(3)
-    for (one, two), true, mask in zip(pairs, shown, masks):
-        over += (0.5 * (one + two) * true.mean)[mask].sum(0)
-        under += (one * two)[mask].sum(0)
-    return over / np.maximum(under, 1e-12)
+    inside = lambda pictures: np.concatenate([one[m] for one, m in zip(pictures, masks)])
+    first, second = (inside([pair[k] for pair in pairs]) for k in (0, 1))
+    true = inside([picture.pixels for picture in shown])
+    again = inside([p.pixels if p.again is None else p.again for p in shown])
+
+    def error(log_factor: float, c: int) -> float:
+        factor = np.exp(log_factor)
+        both = (factor * first[:, c], true[:, c], factor * second[:, c], again[:, c])
+        return float(crossed_error(*both).mean())
+
+    found = [
+        minimize_scalar(error, bounds=(-FACTORS, FACTORS), args=(c,), method="bounded").x
+        for c in range(3)
+    ]
+    return np.exp(found)
+
+
+def relit_names(truth: Truth) -> dict[str, list[str]]:
+    """Names of the true pictures under every other light."""
+    names = true_pictures(truth)
+    return {
+        light: [name for name in names if name.startswith(f"relight/{light}/")]
+        for light in truth.relights
+    }
+
+
+def relight_psnr(pictures: dict[str, np.ndarray], truth: Truth, aligned: bool = False) -> float:
+    """PSNR in dB of relit pictures (2, h, w, 3), mean over them. aligned: after one factor per
+    channel and light, `best_factor`.
+    """
+    true = true_pictures(truth)
+    found = []
+    for names in relit_names(truth).values():
+        ours = [pictures[name] for name in names]
+        shown = [true[name][1] for name in names]
+        masks = [true[name][0].mask for name in names]
+        factor = best_factor(ours, shown, masks) if aligned else 1.0
+        found += [picture_psnr(one * factor, *of) for one, *of in zip(ours, shown, masks)]
+    return float(np.mean(found))
+
+
+def aligned_psnr(pictures: dict[str, np.ndarray], truth: Truth) -> float:
+    """`relight_psnr` after the best factors."""
+    return relight_psnr(pictures, truth, True)
 
 
 def picture_scores(
@@ -121,16 +164,6 @@ def picture_scores(
     each = lambda score: {n: score(pictures[n], true[n][1], true[n][0].mask) for n in true}
     of, ssim, flip = each(picture_psnr), each(picture_ssim), each(picture_flip)
 
-    aligned = []
-    for light in truth.relights:
-        names = [name for name in true if name.startswith(f"relight/{light}/")]
-        shown = [true[name][1] for name in names]
-        masks = [true[name][0].mask for name in names]
-        factor = channel_factor([pictures[name] for name in names], shown, masks)
-        aligned += [
-            picture_psnr(pictures[name] * factor, one, mask)
-            for name, one, mask in zip(names, shown, masks)
-        ]
     mean = lambda found, start: float(np.mean([v for k, v in found.items() if k.startswith(start)]))
     values = {
         "novel_view_psnr": mean(of, "novel"),
@@ -140,7 +173,7 @@ def picture_scores(
     if truth.relights:
         values |= {
             "relight_psnr": mean(of, "relight"),
-            "relight_psnr_channel": float(np.mean(aligned)),
+            "relight_psnr_channel": aligned_psnr(pictures, truth),
             "relight_ssim": mean(ssim, "relight"),
             "relight_flip": mean(flip, "relight"),
         }

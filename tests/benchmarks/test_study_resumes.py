@@ -7,6 +7,7 @@ from benchmarks.make_scene import Options, make_scene
 from benchmarks.stability.chain import chain
 from benchmarks.study import methods, rows
 from benchmarks.study.methods import MEANT, Method, scene_for
+from benchmarks.study.rescore import rescore
 from benchmarks.study.store import TOGETHER, row_file, seeds_in
 from benchmarks.study.together import join
 from benchmarks.suite.lights import make_light
@@ -18,6 +19,8 @@ from pipeline.base.images import write_exr
 from pipeline.posterior.choose.chosen import chosen_scene
 from pipeline.render.renderer import Explanation
 from pipeline.render.samples import Samples
+from pipeline.report.score import Scored, relight_psnr, true_pictures
+from pipeline.report.truth import load_truth
 
 pytestmark = pytest.mark.slow
 SIDE = 32
@@ -80,6 +83,35 @@ def test_no_row_is_made_twice(photos, tmp_path, monkeypatch, capsys):
     together()
     assert "map/3.npz" in capsys.readouterr().err
     assert (place / TOGETHER).stat().st_mtime_ns == joined
+
+
+def test_a_changed_metric_is_scored_from_kept_pictures(photos, tmp_path):
+    """Of the row's own draw only: half as bright as the truth, which alignment mends."""
+    truth = load_truth(photos)
+    half = {
+        name: 0.5 * np.stack([shown.pixels, shown.pixels if shown.again is None else shown.again])
+        for name, (_, shown, _) in true_pictures(truth).items()
+    }
+    scored = Scored({}, {}, half, np.zeros((1, 3)), np.zeros((2, 4, 3)))
+    x = Explanation(np.ones((16, 32, 3)), *(np.ones((4, 4)),) * 3)
+    pack = tmp_path / "draws" / photos.name / "map" / "0.npz"
+    pack.parent.mkdir(parents=True)
+    rows.keep_pictures(pack, scored, x)
+
+    right, other = tmp_path / "right.json", tmp_path / "other.json"
+    scores = {"relight_psnr": relight_psnr(half, truth), "relight_psnr_channel": 1.0, "light": 2.0}
+    write_json(right, {"white": truth.white, "seed": 0, "scores": scores})
+    write_json(other, {"white": truth.white, "scores": scores | {"relight_psnr": 40.0}})
+    assert rescore(right, pack, photos, "abc") is None
+    found = read_json(right)
+    assert found["scores"].pop("relight_psnr_channel") > scores["relight_psnr"] + 10
+    assert found["scores"] == {k: scores[k] for k in ("relight_psnr", "light")}
+    assert found["seed"] == 0 and found["rescored"] == {"relight_psnr_channel": "abc"}
+
+    before = other.read_bytes()
+    assert "another draw" in rescore(other, pack, photos, "abc")
+    assert "there is no" in rescore(other, tmp_path / "none.npz", photos, "abc")
+    assert other.read_bytes() == before
 
 
 def test_a_shipped_preset_is_measured_as_users_get_it(photos, tmp_path, monkeypatch):

@@ -19,8 +19,8 @@ from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh
 from pipeline.render.declared import METRICS
 from pipeline.render.renderer import Explanation
 from pipeline.render.stacking import LeftOut
-from pipeline.report.score import score_asset, table
-from pipeline.report.truth import load_truth
+from pipeline.report.score import best_factor, picture_psnr, score_asset, table
+from pipeline.report.truth import Picture, load_truth
 from pipeline.run import cli
 from pipeline.usd.read import read_asset, turned
 from pipeline.usd.write import export
@@ -316,3 +316,32 @@ def test_the_command_prints_a_table_and_writes_json(scene, ball, tmp_path, monke
     with pytest.raises(SystemExit):
         cli.main()
     assert "give an even number" in capsys.readouterr().err
+
+
+def one_picture(level):
+    """Matt values (h, w, 3) of a level, with a highlight of another width, far above white."""
+    out = np.full((20, 20, 3), level)
+    out[:4] = 30.0
+    return out
+
+
+@pytest.mark.parametrize("wrong", [0.5, 0.8, 1.3])
+def test_highlights_above_white_do_not_lead_the_factor(wrong):
+    """Least squares of linear values would make of a wider highlight a factor of 4 / 6 or less."""
+    truth = one_picture(0.3)
+    ours = wrong * one_picture(0.3)
+    ours[4:6] = 30.0
+    mask = np.ones((20, 20), bool)
+    factor = best_factor([np.stack([ours, ours])], [Picture(truth, None)], [mask])
+    assert factor == pytest.approx([1 / wrong] * 3, rel=0.01)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_picture_is_further_from_the_truth_with_its_best_factor(seed):
+    rng = numpy_rng(seed)
+    truth, ours = (rng.gamma(1.0, rng.uniform(0.1, 1.0), (12, 12, 3)) for _ in range(2))
+    mask = rng.random((12, 12)) < 0.7
+    pair, shown = np.stack([ours, ours]), Picture(truth, None)
+    factor = best_factor([pair], [shown], [mask])
+    aligned, raw = picture_psnr(pair * factor, shown, mask), picture_psnr(pair, shown, mask)
+    assert aligned > raw - 1e-3
