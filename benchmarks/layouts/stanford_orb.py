@@ -41,7 +41,7 @@ CURE = "give blender_LDR/<object>_scene00x or blender_HDR/<object>_scene00x of t
 SUFFIXES = (".exr", ".png")
 NO_FACTOR = (
     "photos and maps of Stanford-ORB share no scale: compare relit views by the score with one "
-    "factor per channel, as its own does"
+    "factor per channel, which its own has too"
 )
 
 

@@ -145,7 +145,8 @@ def relight_psnr(pictures: dict[str, np.ndarray], truth: Truth, aligned: bool = 
         shown = [true[name][1] for name in names]
         masks = [true[name][0].mask for name in names]
         factor = best_factor(ours, shown, masks) if aligned else 1.0
-        found += [picture_psnr(one * factor, *of) for one, *of in zip(ours, shown, masks)]
+        of = zip(ours, shown, masks)
+        found += [picture_psnr(one * factor, true_one, mask) for one, true_one, mask in of]
     return float(np.mean(found))
 
 
