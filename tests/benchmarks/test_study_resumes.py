@@ -1,8 +1,11 @@
 """A run of the study that was cut off goes on without making a row twice, on a tiny scene."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from benchmarks.from_photos import against_truth
 from benchmarks.make_scene import Options, make_scene
 from benchmarks.stability.chain import chain
 from benchmarks.study import methods, rows
@@ -19,6 +22,7 @@ from pipeline.base.images import write_exr
 from pipeline.posterior.choose.chosen import chosen_scene
 from pipeline.render.renderer import Explanation
 from pipeline.render.samples import Samples
+from pipeline.render.stacking import LeftOut
 from pipeline.report.score import Scored, relight_psnr, true_pictures
 from pipeline.report.truth import load_truth
 
@@ -172,3 +176,22 @@ def test_a_mean_is_made_of_the_draws_that_are_kept(photos, tmp_path, monkeypatch
     assert held["seeds"] == [*range(MEANT)] and held["scores"].keys() == {"within"}
     for shares in held["scores"]["within"].values():
         assert 0 <= shares["0.0"]["80%"] <= shares["0.04"]["80%"] <= 1
+
+
+def test_samples_of_a_finished_run_are_scored_one_by_one_and_last_their_mean(photos, tmp_path):
+    """One light four times as bright as the other, and its mean with that: levels are logs."""
+    work = tmp_path / "work" / photos.name
+    fit = Explanation.load(work / "fit")
+    for k, factor in enumerate((1.0, 4.0)):
+        folder = work / "refine" / str(k)
+        replace(fit, light=np.float32(factor) * fit.light).save(folder)
+        LeftOut.by_none().save(folder)
+    found = against_truth(photos, work)
+
+    one, four = (sample["light_level"] for sample in found["samples"])
+    assert four - one == pytest.approx(np.log(4), abs=1e-3)
+    assert found["mean"]["light_level"] - one == pytest.approx(np.log(2.5), abs=1e-3)
+    scored = [*found["samples"], found["mean"]]
+    assert len({scores["novel_view_psnr"] for scores in scored}) == 3
+    shape = [scores["light_psnr_log"] for scores in scored]  # taken after one factor
+    assert shape == pytest.approx([shape[0]] * 3, abs=1e-3)
