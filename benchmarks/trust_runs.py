@@ -16,6 +16,7 @@ from pathlib import Path
 from benchmarks.stability.chain import chain
 from benchmarks.study.methods import OURS, scene_for
 from benchmarks.study.rows import measure
+from benchmarks.trust import METHOD
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.progress import progress
 from pipeline.base.runtime import set_threads
@@ -30,7 +31,7 @@ def run(folder: Path, out: Path) -> None:
         raise InputError("its truth is not known", folder, cure)
     work = out / "work"
     chain(scene_for(OURS, str(folder)), work / folder.name)
-    measure(OURS, folder, work, SEEDS, out / "rows", out / "rows", keep=out / "draws")
+    measure(METHOD, folder, work, SEEDS, out / "rows", out / "rows", keep=out / "draws")
 
 
 def main() -> None:

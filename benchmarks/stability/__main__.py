@@ -24,12 +24,12 @@ from benchmarks.stability.knobs import KNOBS
 from benchmarks.stability.point import done
 from benchmarks.stability.points import Point, points_of
 from benchmarks.stability.scenes import BASE
-from benchmarks.study.methods import OURS, methods_named
+from benchmarks.study.methods import methods_named
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import write_json
 from pipeline.base.progress import progress
 
-METHODS = ("preset_draft", "preset_draft_mean", OURS, "map", "dpi_paper")
+METHODS = ("preset_draft", "preset_draft_mean", "map", "dpi_paper")
 
 
 def run(point: Point, methods: list[str], out: Path, most: int | None) -> bool:

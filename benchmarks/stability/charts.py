@@ -17,6 +17,7 @@ from benchmarks.stability.limits import (
     bases_in,
     curve,
     knobs_in,
+    leading,
     limit,
     methods_in,
     relight,
@@ -62,10 +63,10 @@ def draw_knob(axes: Axes, data: dict, base: str, name: str, span: tuple[float, f
         if not rows:
             continue
         draw_method(axes, rows, places, COLORS.get(method, OTHER))
-        if method == OURS:
+        if method == leading(data):
             start = relight(rows[0])
             if start is not None:
-                axes.axhline(start - FALL, color=COLORS[OURS], lw=0.6, ls=":")
+                axes.axhline(start - FALL, color=COLORS[method], lw=0.6, ls=":")
             held = [(x, row["coverage"]) for x, row in zip(places, rows) if row.get("coverage")]
             if held:
                 other = axes.twinx()

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from benchmarks.markdown import number, pipe_table
 from benchmarks.stability.knobs import KNOBS
-from benchmarks.study.methods import METHODS, OURS, is_ours
+from benchmarks.study.methods import METHODS, is_ours
 
 FALL = 3.0  # dB
 LEAST_COVERAGE = 0.4
@@ -59,6 +59,11 @@ def methods_in(data: dict) -> list[str]:
     """In the order of METHODS."""
     found = {row["method"] for row in data["rows"]}
     return [name for name in METHODS if name in found]
+
+
+def leading(data: dict) -> str:
+    """The method whose curves are told at length: the first one."""
+    return methods_in(data)[0]
 
 
 def knobs_in(data: dict, base: str) -> list[str]:
@@ -109,7 +114,8 @@ def breaking_points(data: dict) -> str:
             curves = {method: curve(data, base, name, method) for method in methods}
             known = {row["value"] for rows in curves.values() for row in rows}
             values = ", ".join(f"{value:g}" for value in knob.values if value in known)
-            start = relight(curves[OURS][0]) if curves.get(OURS) else None
+            of_leading = curves[leading(data)]
+            start = relight(of_leading[0]) if of_leading else None
             cells = [knob.title + (f", {knob.unit}" if knob.unit else ""), f"`{base}`", values]
             cells += [number(start), *(relight_cell(curves[method]) for method in methods)]
             body.append(cells + [coverage_cell(curves[method]) for method in drawn])
@@ -118,7 +124,7 @@ def breaking_points(data: dict) -> str:
     return pipe_table(head + [f"`{method}`: intervals break at" for method in drawn], body)
 
 
-def ends(data: dict, base: str, method: str, ours: str = OURS) -> dict[str, float]:
+def ends(data: dict, base: str, method: str, ours: str) -> dict[str, float]:
     """By how many dB `ours` is ahead of a method at the hard end of every knob of which both have a
     score there.
     """
@@ -162,11 +168,11 @@ def ahead_and_behind(ours: str, other: str, ahead: dict[str, float]) -> list[lis
 
 
 def figures(data: dict) -> str:
-    """Every point of our default: scores, coverage and seconds."""
+    """Every point of the leading method: scores, coverage and seconds."""
     body = []
     for base in bases_in(data):
         for name in knobs_in(data, base):
-            for row in curve(data, base, name, OURS):
+            for row in curve(data, base, name, leading(data)):
                 cells = [KNOBS[name].title, f"{row['value']:g}"]
                 if "refused" in row:
                     body.append([*cells, f"refused: {row['refused']}", "", "", "", "", ""])
