@@ -3,7 +3,8 @@
 python -m benchmarks.make_scene ASSET LIGHT.exr OUT [--relight A.exr B.exr] [--size 480] \\
     [--spp 64] [--views 16] [--test 4] [--seed 0]
 
-ASSET is a folder with mesh.ply (Z-up, v up), base_color.png (sRGB), roughness.png and metallic.png.
+ASSET is a folder with mesh.ply (Z-up, v up), base_color.png (sRGB), roughness.png and metallic.png;
+transmission.png, where it is there, says what share of the light goes through the surface.
 OUT gets images/, masks/, transforms.json, transforms_test.json and mesh.ply as docs/scene_folder.md
 describes them (Z-up), and truth/, which no stage reads: envmap.exr, the light; linear/, what the
 photos show before they are clipped and rounded; albedo/, roughness/ and metallic/ of every view;
@@ -35,6 +36,7 @@ from pipeline.base.runtime import mitsuba as mi
 from pipeline.render.envmap import check_lat_long
 
 ASSET_FILES = ("mesh.ply", "base_color.png", "roughness.png", "metallic.png")
+TRANSMISSION = "transmission.png"  # of an asset that light goes through
 MAX_DEPTH = 6  # path vertices after the camera
 BRIGHT = 0.85  # what the object's 97th percentile is exposed to
 PROBE_SIZE = 96  # pixels along a side of the pictures that exposure is measured on
@@ -112,12 +114,16 @@ def load_scene(
         "metallic": texture("metallic.png", True),
         "specular": 0.5,
     }
+    if (asset / TRANSMISSION).is_file():
+        material["spec_trans"] = texture(TRANSMISSION, True)
+    else:  # seen from within too, where the mesh has a hole
+        material = {"type": "twosided", "b": material}
     mesh = {
         "type": "ply",
         "filename": str(asset / "mesh.ply"),
         "flip_tex_coords": True,
         "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90),
-        "bsdf": {"type": "twosided", "b": material},
+        "bsdf": material,
     }
     env = {"type": "envmap", "bitmap": mi.Bitmap(light.astype(np.float32))}
     if turned:

@@ -201,8 +201,10 @@ def judge(case: Case, folder: Path) -> dict:
 
 
 def said(log: Path) -> str:
-    """The message of a stage, or the last line of a traceback."""
-    text = log.read_text(encoding="utf-8", errors="replace").strip()
+    """The message of a stage, or the last line of a traceback; the program's own files without
+    where it lies.
+    """
+    text = log.read_text(encoding="utf-8", errors="replace").replace(f"{ROOT}/", "").strip()
     if STOPPED in text:
         return " ".join(text[text.rfind(STOPPED) + len(STOPPED) :].split())
     if "Traceback" in text:

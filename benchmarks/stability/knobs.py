@@ -209,6 +209,13 @@ KNOBS: dict[str, Knob] = {
         render=on_thing(things.of_mirror_share),
         from_base=True,
     ),
+    "translucent": Knob(
+        "light that goes through",
+        "share",
+        (0, 0.2, 0.5, 1),
+        render=on_thing(things.of_transmission),
+        from_base=True,
+    ),
     "black": Knob(
         "mean base colour, to black",
         "",

@@ -43,6 +43,11 @@ def where(points: np.ndarray, noise: SolidNoise, share: float) -> np.ndarray:
     return field(points) < np.quantile(field(REFERENCE), share)
 
 
+def of_transmission(thing: Thing, share: float) -> Thing:
+    """A frosted glass, as rough as it was, that this share of the light goes through."""
+    return replace(thing, transmission=share)
+
+
 def of_roughness(thing: Thing, roughness: float) -> Thing:
     """One roughness all over."""
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.make_scene import TRANSMISSION
 from benchmarks.suite.patches import (
     Patch,
     assembled,
@@ -53,12 +54,13 @@ LEATHER = (0.22, 0.10, 0.05)
 @dataclass
 class Thing:
     """kind: what the object stands for in the tables; side: cells are chosen for a mesh of some
-    ten thousand faces.
+    ten thousand faces; transmission: share of the light that goes through the surface.
     """
 
     kind: str
     patches: Callable[[], list[Patch]]
     materials: tuple[Material, ...]
+    transmission: float = 0.0
 
 
 def mix(a, b, share: np.ndarray) -> np.ndarray:
@@ -268,7 +270,8 @@ def textures(patches: list[Patch], materials: tuple[Material, ...], side: int, s
 
 def write_thing(thing: Thing, out: Path, side: int, seed: int) -> None:
     """The asset folder that benchmarks.make_scene reads: mesh.ply, base_color.png (sRGB),
-    roughness.png and metallic.png of `side` texels. seed: of the materials' noise.
+    roughness.png and metallic.png of `side` texels, and for a thing that light goes through
+    transmission.png. seed: of the materials' noise.
     """
     patches = thing.patches()
     across = tiles(len(patches))
@@ -279,6 +282,8 @@ def write_thing(thing: Thing, out: Path, side: int, seed: int) -> None:
     color, roughness, metallic = textures(patches, thing.materials, side, seed)
     write_png(out / "base_color.png", np.round(linear_to_srgb(color) * 255))
     write_png(out / "roughness.png", np.round(roughness * 255))
+    if thing.transmission:
+        write_png(out / TRANSMISSION, np.round(np.full((side, side), 255 * thing.transmission)))
     write_png(out / LAST, np.round(metallic * 255))
 
 

@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from benchmarks.make_scene import Options, make_scene
+from benchmarks.make_scene import Options, load_scene, make_scene, render, sensor
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, read_png, srgb_to_linear, write_exr, write_png
 from pipeline.geometry.cameras import Y_FROM_Z_UP, View
@@ -57,6 +57,18 @@ def test_the_pipeline_reads_what_is_rendered(tmp_path, asset, light):
         seen = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
         np.testing.assert_allclose(seen, [*uv.min(0), *uv.max(0)], atol=1.2)
         assert depth.min() > 0
+
+
+def test_light_goes_through_an_asset_that_says_so(asset):
+    """Seen from the dark side: lit there by what comes through alone."""
+    behind = np.zeros((8, 16, 3), np.float32)
+    behind[:, 7:9] = 5  # about the horizon's middle, +z
+    behind[[0, 1, 6, 7]] = 0
+    camera = sensor(np.array([0.0, 0.0, -4.0]), 16)
+    shown = lambda: render(load_scene(asset, behind), camera, 64)[6:10, 6:10].mean()
+    opaque = shown()
+    write_png(asset / "transmission.png", np.full((4, 4), 255))
+    assert shown() > 0.05 and opaque < 0.01
 
 
 def test_truth_is_the_assets_own(tmp_path, asset, light):

@@ -243,6 +243,7 @@ def test_materials_have_their_shares(rng):
     assert of(things.of_albedo(base, 0.1))[0].mean() == pytest.approx(0.1, rel=0.05)
     textured = of(things.of_texture_share(base, 0.1))[0]
     assert (textured == plain[0]).all(1).mean() == pytest.approx(0.1, abs=0.03)
+    assert things.of_transmission(base, 0) == base
     for change, value in ((things.of_metal_share, 0), (things.of_mirror_share, 0)):
         for one, two in zip(of(change(base, value)), plain):
             np.testing.assert_array_equal(one, two)
