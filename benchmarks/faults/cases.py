@@ -144,7 +144,8 @@ def two_drivers(start: Start, folder: Path, random: np.random.Generator) -> tupl
 
 def two_stages(start: Start, folder: Path, random: np.random.Generator) -> tuple[Chain, str]:
     """The fit by hand, twice at once, with one folder for both results: the first is held still
-    while it makes the result, until the second has ended.
+    while it makes the result, until the second has ended. It has its lock once its room is there;
+    the lock's file is there a moment earlier.
     """
     chain = start.whole.copy(folder)
     words = [sys.executable, "-m", "stages.fit", "--config", f"configs/{SCENE}.yaml"]
@@ -157,7 +158,7 @@ def two_stages(start: Start, folder: Path, random: np.random.Generator) -> tuple
             words, cwd=folder, env=surroundings, stdout=log, stderr=log, start_new_session=True
         )
         first = begin()
-        while not (chain.work / ".partial-fit.lock").exists() and first.poll() is None:
+        while not (chain.work / ".partial-fit" / "new").exists() and first.poll() is None:
             time.sleep(0.005)
         if first.poll() is not None:
             raise RuntimeError("the fit was never seen at work: see the case's log")
