@@ -47,15 +47,21 @@ class LightOptimizer:
 
 class BestState:
     """The explanation with the least running mean of the loss: a single step's loss is that of a
-    few pixels, and noisy. Only the second half of the `steps` is searched.
+    few pixels, and noisy. Searched are the steps from `first_candidate` on; as long as there is
+    none, the first state seen is kept.
     """
 
-    def __init__(self, steps: int):
-        self.first_candidate = steps // 2
+    def __init__(self, first_candidate: int):
+        self.first_candidate = first_candidate
         self.running_mean: float | None = None
-        self.loss = np.inf
         self.step = 0
+        self._least = np.inf
         self._explanation: Explanation | None = None
+
+    @property
+    def loss(self) -> float | None:
+        """The least running mean; that of all steps where there is no candidate."""
+        return self._least if np.isfinite(self._least) else self.running_mean
 
     @property
     def explanation(self) -> Explanation:
@@ -65,15 +71,15 @@ class BestState:
         return self._explanation
 
     def see(self, step: int, explanation: Explanation, loss: float) -> None:
-        """Take one more step's state; the first is kept until a candidate comes."""
+        """Take one more step's state."""
         if self.running_mean is None:
             self.running_mean = loss
             self._explanation = explanation.copy()
             return
 
         self.running_mean = 0.9 * self.running_mean + 0.1 * loss
-        if step >= self.first_candidate and self.running_mean < self.loss:
-            self.loss = self.running_mean
+        if step >= self.first_candidate and self.running_mean < self._least:
+            self._least = self.running_mean
             self.step = step
             self._explanation = explanation.copy()
 
@@ -105,14 +111,14 @@ def fit(problem: Problem, settings: Fit, seed: int = 0) -> tuple[Explanation, di
     tenfold over the run, for a constant one diverges late; the gradient's noise is made independent
     of the residual's (render/renderer.py, crossed_adjoint); what photos show of the light itself
     pulls at it (seen_light.py); the state returned is the one with the least running mean of the
-    loss, not the last.
+    loss in the second half, not the last.
     """
     rng = np.random.default_rng(seed)
     first = start(problem, settings.texture)
     materials = MaterialOptimizer(first, settings.learning_rate, problem.roughness_min)
     light = LightOptimizer(first.light, settings.learning_rate)
     seen = SeenLight.of(problem.observations.surroundings.sightings, len(first.light))
-    best = BestState(settings.steps)
+    best = BestState(first_candidate=settings.steps // 2)
     losses = []
 
     with Bar("fit", settings.steps) as bar:
@@ -132,9 +138,8 @@ def fit(problem: Problem, settings: Fit, seed: int = 0) -> tuple[Explanation, di
             losses.append(gradient.loss)
             bar.step(f"loss {best.running_mean:.4f}")
 
-    loss_end = best.loss if np.isfinite(best.loss) else best.running_mean
     return best.explanation, {
         "loss_start": losses[0],
-        "loss_end": loss_end,
+        "loss_end": best.loss,
         "best_step": best.step,
     }

@@ -1,11 +1,15 @@
 """Penalties of a light in closed form, harmonics as they are, and what each does to an optimum."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 
+from pipeline.base.config import Sample
+from pipeline.posterior.fit import LightOptimizer
 from pipeline.posterior.illumination.deep_image import NetworkLight
-from pipeline.posterior.illumination.descent import penalised
+from pipeline.posterior.illumination.descent import FIRST_CANDIDATE, descend, penalised
 from pipeline.posterior.illumination.harmonics import HarmonicLight
 from pipeline.posterior.illumination.penalties import (
     PENALTIES,
@@ -14,6 +18,7 @@ from pipeline.posterior.illumination.penalties import (
     total_variation,
 )
 from pipeline.render.envmap import directions, sh_basis, solid_angles, yaw_roll
+from pipeline.render.renderer import Explanation, Gradient
 from tests.seeds import numpy_rng
 
 
@@ -110,3 +115,28 @@ def test_an_untrained_network_begins_constant_and_draws_what_is_smooth_before_no
     assert of_noise > 0.3
     np.testing.assert_array_equal(left_over(smooth)[1], end)
     assert torch.equal(torch.random.get_rng_state(), state)
+
+
+def test_a_descent_returns_its_best_state_by_data_term_and_prior():
+    """The light only grows; the data term falls up to radiance 1.5 and rises after it, and a prior
+    of darker light asks for less."""
+    flat = np.zeros((8, 8), np.float32)
+    begin = Explanation(np.ones((4, 8, 3), np.float32), np.stack([flat] * 3, -1), flat, flat)
+    settings = Sample(steps=200)
+
+    def gradient(x: Explanation, batch: None, seed: int) -> Gradient:
+        loss = (float(x.light.mean()) - 1.5) ** 2
+        return Gradient(-np.ones_like(x.light), 0 * x.base_color, flat, flat, loss)
+
+    problem = SimpleNamespace(batch=lambda *sizes: None, gradient=gradient, roughness_min=0.0)
+
+    def returned(weight: float) -> tuple[float, dict]:
+        light = LightOptimizer(begin.light, 2 * settings.learning_rate)
+        darker = lambda radiance: (weight * float(radiance.mean()), 0.0)
+        x, facts = descend(problem, begin, light, settings, 0, numpy_rng(0), darker)
+        assert light.light().mean() > 2 and facts["loss_last"] > facts["loss"]
+        return float(x.light.mean()), facts
+
+    plain, facts = returned(0.0)
+    assert plain == pytest.approx(1.5, abs=0.2) and facts["best_step"] > FIRST_CANDIDATE
+    assert returned(0.5)[0] < plain - 0.1

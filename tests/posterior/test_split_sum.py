@@ -124,5 +124,5 @@ def test_samplers_explain_the_photos_better_than_where_they_begin(problem, start
     bare = Problem(problem.observations, Renderer(problem.renderer.mesh, 32, 16, 3), 0.1)
     begin = material(0.5, 0.05, np.full((32, 64, 3), start[0].light.mean()))
     x, facts = SAMPLERS[name](bare, load_prior("prior_tiny"), begin, settings, seeded(0))
-    assert facts["loss_last"] < 0.7 * facts["loss_first"]
+    assert facts["loss"] < 0.7 * facts["loss_first"]
     assert x.light.shape == (16, 32, 3) and (x.light > 0).all()

@@ -16,7 +16,7 @@ import torch
 
 from pipeline.base.config import Sample
 from pipeline.base.progress import Bar
-from pipeline.posterior.fit import LightOptimizer
+from pipeline.posterior.fit import BestState, LightOptimizer
 from pipeline.posterior.illumination.deep_image import NetworkLight
 from pipeline.posterior.illumination.harmonics import HarmonicLight
 from pipeline.posterior.illumination.penalties import PENALTIES, Penalty
@@ -32,7 +32,12 @@ from pipeline.render.renderer import Explanation, Renderer, resize_explanation
 Descent = Callable[[Problem, Prior, Explanation, Sample, int], tuple[Explanation, dict]]
 LOSS_STEPS = 8  # batches that the data term at the fit is averaged over
 DARKEST = 1e-4  # of the mean radiance, from which the light moves
+FIRST_CANDIDATE = 20  # step; the running mean of the loss has forgotten the first loss by then
 DIRECT = 2  # the renderer's depth at which surfaces do not light each other
+
+
+# light (h, 2h, 3) -> value of the prior's term, and its slope in the light
+PriorTerm = Callable[[np.ndarray], tuple[float, np.ndarray | float]]
 
 
 class MovedLight(Protocol):
@@ -86,6 +91,11 @@ def equal_weight(
     return data_term(problem, x, settings, rng) / max(value, 1e-12)
 
 
+def no_prior(light: np.ndarray) -> tuple[float, float]:
+    """The term of samplers whose light has no prior, or one by its parametrisation alone."""
+    return 0.0, 0.0
+
+
 def descend(
     problem: Problem,
     first: Explanation,
@@ -93,13 +103,17 @@ def descend(
     settings: Sample,
     seed: int,
     rng: np.random.Generator,
-    slope_of: Callable[[np.ndarray], np.ndarray | float],
-) -> tuple[Explanation, list[float]]:
-    """Adam on light and materials; slope_of(light) is added to the data term's slope in the light.
-    Returns where it ends, and the data term of every step.
+    prior_term: PriorTerm = no_prior,
+) -> tuple[Explanation, dict]:
+    """Adam on light and materials, down the data term plus `prior_term`. Returns the state with the
+    least running mean of both, and facts: the loss at first, where it ends and what is returned.
+
+    The last state may be worse than one before it: Adam's normalised steps follow the median of a
+    slope, and where a few paths carry most of the light the median is not the mean.
     """
     rate = 2 * settings.learning_rate
     materials = MaterialOptimizer(first, rate, problem.roughness_min)
+    best = BestState(first_candidate=min(FIRST_CANDIDATE, settings.steps // 2))
     losses = []
     with Bar(f"sample {seed}", settings.steps) as bar:
         for step in range(settings.steps):
@@ -110,11 +124,15 @@ def descend(
             x = materials.explanation(light.light())
             batch = problem.batch(settings.pixels, settings.spp, rng)
             gradient = problem.gradient(x, batch, renderer_seed(rng))
-            light.step(gradient.light + slope_of(x.light), x.light)
+            value, slope = prior_term(x.light)
+            losses.append(gradient.loss + value)
+            best.see(step, x, losses[-1])
+
+            light.step(gradient.light + slope, x.light)
             materials.step(gradient)
-            losses.append(gradient.loss)
-            bar.step(f"loss {gradient.loss:.4f}")
-    return materials.explanation(light.light()).copy(), losses
+            bar.step(f"loss {best.running_mean:.4f}")
+    facts = {"loss_first": losses[0], "loss_last": losses[-1]}
+    return best.explanation, facts | {"loss": best.loss, "best_step": best.step}
 
 
 def begun(start: Explanation, prior: Prior, settings: Sample) -> tuple[Explanation, float]:
@@ -145,10 +163,13 @@ def with_penalty(name: str) -> Descent:
         weight = equal_weight(problem, first, penalty, level, settings, rng)
 
         light = LightOptimizer(first.light, 2 * settings.learning_rate)
-        slope = lambda radiance: weight * penalised(penalty, radiance, level)[1]
-        x, losses = descend(problem, first, light, settings, seed, rng, slope)
-        facts = {"scale": scale_of(start.light), "weight": weight}
-        return x, facts | {"loss_first": losses[0], "loss_last": losses[-1]}
+
+        def term(radiance: np.ndarray) -> tuple[float, np.ndarray]:
+            value, slope = penalised(penalty, radiance, level)
+            return weight * value, weight * slope
+
+        x, facts = descend(problem, first, light, settings, seed, rng, term)
+        return x, facts | {"scale": scale_of(start.light), "weight": weight}
 
     return sampler
 
@@ -162,9 +183,8 @@ def spherical_harmonics(
     rng, _ = generators(seed)
     first, level = begun(start, prior, settings)
     light = HarmonicLight(first.light, 2 * settings.learning_rate)
-    x, losses = descend(problem, first, light, settings, seed, rng, lambda radiance: 0.0)
-    facts = {"scale": scale_of(start.light), "loss_first": losses[0], "loss_last": losses[-1]}
-    return x, facts
+    x, facts = descend(problem, first, light, settings, seed, rng)
+    return x, facts | {"scale": scale_of(start.light)}
 
 
 def deep_image_prior(
@@ -176,9 +196,8 @@ def deep_image_prior(
     rng, noise = generators(seed)
     first, _ = begun(start, prior, settings)
     light = NetworkLight(first.light, 2 * settings.learning_rate, noise)
-    x, losses = descend(problem, first, light, settings, seed, rng, lambda radiance: 0.0)
-    facts = {"scale": scale_of(start.light), "loss_first": losses[0], "loss_last": losses[-1]}
-    return x, facts
+    x, facts = descend(problem, first, light, settings, seed, rng)
+    return x, facts | {"scale": scale_of(start.light)}
 
 
 def with_direct_light(problem: Problem) -> Problem:
@@ -207,9 +226,7 @@ def shaded_by(shading: Callable[[Problem], Problem]) -> Descent:
         rng, _ = generators(seed)
         first, _ = begun(start, prior, settings)
         light = LightOptimizer(first.light, 2 * settings.learning_rate)
-        shaded = shading(problem)
-        x, losses = descend(shaded, first, light, settings, seed, rng, lambda radiance: 0.0)
-        facts = {"scale": scale_of(start.light), "loss_first": losses[0], "loss_last": losses[-1]}
-        return x, facts
+        x, facts = descend(shading(problem), first, light, settings, seed, rng)
+        return x, facts | {"scale": scale_of(start.light)}
 
     return sampler

@@ -54,6 +54,13 @@ class LatentLight:
         made = self.generator.code.decode(self.generator.codes(self.z, self.height))
         return made[0].permute(1, 2, 0) * self.log_scale.exp()
 
+    def _penalty(self) -> torch.Tensor:
+        return self.weight * self.z.square().mean()
+
+    def penalty(self, light: np.ndarray) -> tuple[float, float]:
+        """The prior's term at the present z, and 0 for its slope in the light: `step` takes it."""
+        return float(self._penalty().detach()), 0.0
+
     def light(self) -> np.ndarray:
         """Radiance (h, 2h, 3)."""
         with torch.no_grad():
@@ -63,7 +70,7 @@ class LatentLight:
         """One step of Adam, for the loss's `slope` in the radiance at `light`."""
         self.adam.zero_grad()
         self._radiance().backward(torch.from_numpy(np.asarray(slope, np.float32)))
-        (self.weight * self.z.square().mean()).backward()
+        self._penalty().backward()
         self.adam.step()
 
     def set_learning_rate(self, learning_rate: float) -> None:
@@ -107,9 +114,7 @@ def inverted(name: str) -> Descent:
         make = lambda one: LatentLight(generator, one, prior.height, level, weight, rate)
         light = best_start(problem, first, [make(one) for one in z], settings, rng)
 
-        x, losses = descend(problem, first, light, settings, seed, rng, lambda radiance: 0.0)
-        facts = {"scale": scale_of(start.light), "weight": weight}
-        facts["latent_mean_square"] = float(light.z.detach().square().mean())
-        return x, facts | {"loss_first": losses[0], "loss_last": losses[-1]}
+        x, facts = descend(problem, first, light, settings, seed, rng, light.penalty)
+        return x, facts | {"scale": scale_of(start.light), "weight": weight}
 
     return sampler
