@@ -18,6 +18,7 @@ from pipeline.base.images import LARGEST_HALF, luminance, read_png, write_exr, w
 from pipeline.base.progress import progress
 from pipeline.photos.colour_space import LINEAR, Curve
 from pipeline.photos.decode import Photo, decode
+from pipeline.photos.focus import said_of_focus
 from pipeline.photos.given_masks import check_owners, mask_file, read_mask
 from pipeline.photos.radiance import Radiance, level_of, white_of
 from pipeline.photos.scene_files import cameras_given, find_photos, left_out
@@ -311,7 +312,8 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
             "walk around the object, or set `capture: {leave_out: none}` to keep them all",
         )
 
-    sentences = in_words(dropped)
+    out_of_focus = said_of_focus([look.edge for look in looks])
+    sentences = in_words(dropped) + out_of_focus
     for sentence in sentences:
         print(sentence, file=sys.stderr)
     masked = sum(p["has_mask"] for p in photos)
@@ -319,7 +321,13 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
     white = white_of_scene(photos)
     divide_out(photos, out, white)
     Radiance(white).save(out)
-    facts = {"scene": scene.name, "exposure": exposure, "left_out": dropped, "photos": photos}
+    facts = {
+        "scene": scene.name,
+        "exposure": exposure,
+        "left_out": dropped,
+        "out_of_focus": out_of_focus,
+        "photos": photos,
+    }
     write_json(out / "photos.json", facts)
     return {
         "photos": len(photos),

@@ -38,10 +38,11 @@ def _photometry(
     sphere: tuple[np.ndarray, float],
     scene: Path,
     settings: Poses,
+    out_of_focus: list[str],
 ) -> tuple[list[View], dict]:
     """What matched points say of light that moves with the camera (facts, `warnings` among them, or
     InputError), and of the photos' gains, which are divided out of the pictures under `out`. Views
-    and facts. sphere: the object's centre and radius.
+    and facts. sphere: the object's centre and radius; out_of_focus: what capture says of it.
     """
     brightness = point_brightness(views, out, points)
     fit = np.array([v.split == "fit" for v in views])
@@ -52,7 +53,7 @@ def _photometry(
     accept = settings.moving_light == "accept"
     facts: dict = {
         "light_motion": motion.facts(),
-        "warnings": check(motion, str(scene), accept),
+        "warnings": check(motion, str(scene), accept, out_of_focus),
     }
     if settings.match_exposure:
         views, matched = match_exposure(views, out, stops)
@@ -95,8 +96,8 @@ def make_poses(
 
     Raises InputError when cameras are unusable or photos do not connect.
     """
-    captured = read_json(capture / "photos.json")["photos"]
-    photos, posed = _posed(capture, scene, captured, settings, held_out, threads)
+    captured = read_json(capture / "photos.json")
+    photos, posed = _posed(capture, scene, captured["photos"], settings, held_out, threads)
     kept = posed.photos
     if sum(p["split"] == "fit" for p in kept) < 3:
         raise InputError(f"only {len(kept)} photos have a camera", scene, HINT)
@@ -104,7 +105,8 @@ def make_poses(
     lenses = [lens.at(p["width"], p["height"]) for lens, p in zip(posed.lenses, kept)]
     with_camera = {p["name"] for p in kept}
     unregistered = [p["name"] for p in photos if p["name"] not in with_camera]
-    facts = posed.facts | {"unregistered": unregistered}
+    out_of_focus = captured.get("out_of_focus", [])  # not told by earlier versions
+    facts = posed.facts | {"unregistered": unregistered, "out_of_focus": out_of_focus}
     views = write_views(capture, out, kept, lenses, posed.poses)
 
     center, radius, points = posed.center, posed.radius, posed.points
@@ -114,7 +116,8 @@ def make_poses(
         center, radius, ground = ground_of_given(points["xyz"], views, center, radius)
         facts |= ground
     elif len(points["xyz"]):
-        views, seen = _photometry(views, out, points, (center, radius), scene, settings)
+        sphere = center, radius
+        views, seen = _photometry(views, out, points, sphere, scene, settings, out_of_focus)
         facts |= seen
 
     np.savez_compressed(out / "points.npz", **points)

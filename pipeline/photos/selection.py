@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from pipeline.base.images import linear_to_srgb, luminance
+from pipeline.photos.focus import edge_width
 
 LARGE = 1000  # pixels along the long side that sharpness is measured at
 SMALL = 256  # pixels along the long side that motion is measured at
@@ -41,13 +42,15 @@ Reason: TypeAlias = tuple[str, int | None]
 @dataclass
 class Look:
     """What is kept of a photo to compare it: small (h, w) and tiny (TINY, TINY) grey pictures;
-    energy and detail, both log2.
+    energy and detail, both log2; edge: width of the steepest edges, in pixels of a picture with
+    at most LARGE.
     """
 
     small: np.ndarray
     tiny: np.ndarray
     energy: float
     detail: float
+    edge: float
 
 
 def look_at(linear: np.ndarray) -> Look:
@@ -59,7 +62,11 @@ def look_at(linear: np.ndarray) -> Look:
     tiny = cv2.resize(small, (TINY, TINY), interpolation=cv2.INTER_AREA)
     tiny = tiny - tiny.mean()
     return Look(
-        small, tiny / max(float(np.linalg.norm(tiny)), 1e-6), _energy(large), _detail(large)
+        small,
+        tiny / max(float(np.linalg.norm(tiny)), 1e-6),
+        _energy(large),
+        _detail(large),
+        edge_width(large),
     )
 
 

@@ -20,6 +20,7 @@ a circle to within a fraction of a per cent, hand-held ones to within ten.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -136,13 +137,26 @@ def resting(motion: LightMotion) -> str:
     return f"{motion.course:.2f} stops; static light: below {motion.least_course:g}"
 
 
-def check(motion: LightMotion, where: str, accept: bool) -> list[str]:
+def check(
+    motion: LightMotion, where: str, accept: bool, out_of_focus: Sequence[str] = ()
+) -> list[str]:
     """What to tell the user: nothing, or, where the light moves and `accept` is set, one warning.
+    out_of_focus: what focus.py says of the photos. Blur may look like light that moves.
 
     Raises InputError where the light moves and `accept` is not set.
     """
     if not motion.moves:
         return []
+    course = (
+        f"{100 * (motion.explained or 0):.0f} % of what changes in brightness follows the turn "
+        f"past the lamp ({resting(motion)})"
+    )
+    if out_of_focus:
+        text = (
+            f"{out_of_focus[0]}, and brightness changes as if the light moved with the camera: "
+            f"{course}"
+        )
+        return refused_or_told(text, where, accept, "photograph in focus")
 
     turntable = motion.circle < CIRCLE
     kind = (
@@ -152,15 +166,16 @@ def check(motion: LightMotion, where: str, accept: bool) -> list[str]:
         else "a lamp or flash moves with the camera"
     )
     text = (
-        f"the light moves with the camera: {100 * (motion.explained or 0):.0f} % of what changes "
-        f"in brightness follows the turn past the lamp ({resting(motion)}); {kind}. No one "
-        "light around the object explains such photos"
+        f"the light moves with the camera: {course}; {kind}. No one light around the object "
+        "explains such photos"
     )
+    cure = "photograph a resting object in resting light and walk around it"
+    return refused_or_told(text, where, accept, cure)
+
+
+def refused_or_told(text: str, where: str, accept: bool, cure: str) -> list[str]:
+    """`text` as a warning where `accept` is set. Raises InputError where it is not."""
     if accept:
         return [f"{text}: light and materials of the asset are not to be trusted"]
-    raise InputError(
-        text,
-        where,
-        "photograph a resting object in resting light and walk around it, or set "
-        "`poses: {moving_light: accept}` to have mesh and textures all the same",
-    )
+    way_on = "or set `poses: {moving_light: accept}` to have mesh and textures all the same"
+    raise InputError(text, where, f"{cure}, {way_on}")

@@ -111,7 +111,8 @@ def surface_photometry(
     told = [v for v in views if v.split == "fit"]
     motion = surface_motion(brightness[fit], found[fit], told, rig.center)
     accept = settings.moving_light == "accept"
-    facts: dict = {"light_motion": motion.facts(), "warnings": check(motion, where, accept)}
+    warnings = check(motion, where, accept, rig.facts.get("out_of_focus", []))
+    facts: dict = {"light_motion": motion.facts(), "warnings": warnings}
     if not settings.match_exposure:
         return np.zeros_like(found), facts
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
+from pipeline.photos.focus import said_of_focus
 from pipeline.photos.readings import Readings
 from pipeline.photos.turntable import LightMotion, check, light_motion, off_circle
 from tests.seeds import numpy_rng
@@ -75,3 +76,15 @@ def test_refused_with_the_reason_or_accepted_with_a_warning():
     assert "not to be trusted" in warning
     assert check(LightMotion(0.03, 800, 0.005), "scene", accept=False) == []
     assert check(LightMotion(None, 20, 0.005), "scene", accept=False) == []
+
+
+def test_blur_is_named_where_photos_are_out_of_focus():
+    """It changes brightness at edges, as a lamp would that moves."""
+    flash, soft = LightMotion(0.25, 800, 0.2), said_of_focus([12.0] * 9)
+    with pytest.raises(
+        InputError, match=r"out of focus.*12 pixels.*\n.*photograph in focus"
+    ) as told:
+        check(flash, "scene", False, soft)
+    assert "flash" not in str(told.value)
+    assert "out of focus" in check(flash, "scene", True, soft)[0]
+    assert check(LightMotion(0.03, 800, 0.005), "scene", False, soft) == []

@@ -147,5 +147,8 @@ def test_moving_light_is_refused_or_accepted_with_a_warning(views):
     facts = surface_photometry(table, views, rig, "poses", accept)[1]
     assert "stops; static light: below" in facts["warnings"][0]
     assert facts["light_motion"]["moves_with_camera"]
+    rig.facts["out_of_focus"] = ["soft"]
+    with pytest.raises(InputError, match="soft, and brightness changes as if"):
+        surface_photometry(table, views, rig, "poses", Poses())
     few = {key: values[table["view"] < 7] for key, values in table.items()}
     assert surface_photometry(few, views[:7], rig, "poses", Poses())[1]["warnings"] == []
