@@ -22,6 +22,9 @@ from pipeline.render.renderer import Explanation
 ALBEDO_START = 0.35
 ROUGHNESS_START = 0.5
 METALLIC_START = 0.05
+FIRST_CANDIDATE = (
+    20  # step; the running mean of the loss has nearly forgotten the first loss by then
+)
 SEEN_WEIGHT = 0.1  # of what is seen of the light, beside the data term
 
 
@@ -47,12 +50,12 @@ class LightOptimizer:
 
 class BestState:
     """The explanation with the least running mean of the loss: a single step's loss is that of a
-    few pixels, and noisy. Searched are the steps from `first_candidate` on; as long as there is
-    none, the first state seen is kept.
+    few pixels, and noisy. The first of the `steps` are no candidates (FIRST_CANDIDATE); until one
+    comes, the first state is kept.
     """
 
-    def __init__(self, first_candidate: int):
-        self.first_candidate = first_candidate
+    def __init__(self, steps: int):
+        self.first_candidate = min(FIRST_CANDIDATE, steps // 2)
         self.running_mean: float | None = None
         self.step = 0
         self._least = np.inf
@@ -111,14 +114,14 @@ def fit(problem: Problem, settings: Fit, seed: int = 0) -> tuple[Explanation, di
     tenfold over the run, for a constant one diverges late; the gradient's noise is made independent
     of the residual's (render/renderer.py, crossed_adjoint); what photos show of the light itself
     pulls at it (seen_light.py); the state returned is the one with the least running mean of the
-    loss in the second half, not the last.
+    loss, not the last.
     """
     rng = np.random.default_rng(seed)
     first = start(problem, settings.texture)
     materials = MaterialOptimizer(first, settings.learning_rate, problem.roughness_min)
     light = LightOptimizer(first.light, settings.learning_rate)
     seen = SeenLight.of(problem.observations.surroundings.sightings, len(first.light))
-    best = BestState(first_candidate=settings.steps // 2)
+    best = BestState(settings.steps)
     losses = []
 
     with Bar("fit", settings.steps) as bar:

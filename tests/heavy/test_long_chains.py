@@ -213,9 +213,9 @@ def test_a_thousand_iterations_stay_finite_and_in_memory(hostile, data_term, nam
 def test_a_thousand_steps_of_the_fit_and_of_the_refinement(hostile, data_term):
     problem, start = hostile
     fitted = Fit(steps=1000, pixels=400, texture=32)
-    in_memory(lambda: fit(problem, fitted)[0], "fit")
-    *before, last = data_term.medians()
-    assert last <= LATE_RISE * min(before)
+    x = in_memory(lambda: fit(problem, fitted)[0], "fit")
+    fifths = data_term.medians()
+    assert data_term.at(x, fitted.pixels, fitted.spp) <= LATE_RISE * min(fifths)
 
     data_term.losses.clear()
     refined = Refine(steps=1000, pixels=400, spp=2, texture=32)

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from pipeline.base.config import Sample
-from pipeline.posterior.fit import LightOptimizer
+from pipeline.posterior.fit import FIRST_CANDIDATE, LightOptimizer
 from pipeline.posterior.illumination.deep_image import NetworkLight
-from pipeline.posterior.illumination.descent import FIRST_CANDIDATE, descend, penalised
+from pipeline.posterior.illumination.descent import descend, penalised
 from pipeline.posterior.illumination.harmonics import HarmonicLight
 from pipeline.posterior.illumination.penalties import (
     PENALTIES,

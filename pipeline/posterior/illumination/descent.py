@@ -32,7 +32,6 @@ from pipeline.render.renderer import Explanation, Renderer, resize_explanation
 Descent = Callable[[Problem, Prior, Explanation, Sample, int], tuple[Explanation, dict]]
 LOSS_STEPS = 8  # batches that the data term at the fit is averaged over
 DARKEST = 1e-4  # of the mean radiance, from which the light moves
-FIRST_CANDIDATE = 20  # step; the running mean of the loss has forgotten the first loss by then
 DIRECT = 2  # the renderer's depth at which surfaces do not light each other
 
 
@@ -113,7 +112,7 @@ def descend(
     """
     rate = 2 * settings.learning_rate
     materials = MaterialOptimizer(first, rate, problem.roughness_min)
-    best = BestState(first_candidate=min(FIRST_CANDIDATE, settings.steps // 2))
+    best = BestState(settings.steps)
     losses = []
     with Bar(f"sample {seed}", settings.steps) as bar:
         for step in range(settings.steps):
