@@ -19,8 +19,9 @@ fail() {
     exit 1
 }
 
+# Modules are compiled when they are first imported: most of the 7 GB never are
 pip() {
-    .venv/bin/python -m pip --disable-pip-version-check install --quiet --no-cache-dir --no-deps "$@"
+    .venv/bin/python -m pip --disable-pip-version-check install --quiet --no-cache-dir --no-deps --no-compile "$@"
 }
 
 is_done() { # is_done FILE COPY: FILE has not changed since COPY was made of it

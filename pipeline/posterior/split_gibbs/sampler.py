@@ -6,6 +6,7 @@ is a function `kernel(rng, state) -> state, info` over a frozen state (state.py)
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Generator, Iterator
 from dataclasses import replace
 
@@ -111,8 +112,8 @@ def chain(rng: Randomness, model: Model, state: State, title: str) -> Iterator[S
 
 
 def last_of(states: Iterator[State]) -> State:
-    """Where a chain ends."""
-    *_, last = states
+    """Where a chain ends. None of the states before is kept."""
+    (last,) = deque(states, maxlen=1)
     return last
 
 
