@@ -11,11 +11,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import OpenEXR
-from PIL import Image, ImageCms
+from PIL import Image, ImageCms, ImageFilter
 from PIL.TiffImagePlugin import IFDRational
 
 from benchmarks.corpus.case import message, result
 from benchmarks.corpus.project import HEIGHT, WIDTH, Project, picture
+from pipeline.base.files import read_json
 from pipeline.base.images import read_exr, to_srgb8
 
 GROUP = "photo"
@@ -408,3 +409,17 @@ def cut_heic(p: Project) -> None:
     heic_of(p, "p0.heic")
     data = (p.images / "p0.heic").read_bytes()
     (p.images / "p0.heic").write_bytes(data[: len(data) // 2])
+
+
+def warned(project: Project) -> None:
+    """Check that the user was told."""
+    said = read_json(project.work / "capture" / "capture.json")["warnings"]
+    assert any("out of focus" in text for text in said), f"warnings: {said}"
+
+
+@result(GROUP, "all photos out of focus", warned)
+def out_of_focus(p: Project) -> None:
+    for file in sorted(p.images.glob("*.png")):
+        with Image.open(file) as image:
+            soft = image.filter(ImageFilter.GaussianBlur(4))
+        soft.save(file)
