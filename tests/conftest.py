@@ -23,6 +23,7 @@ from tests import seeds
 runtime.set_threads(1)
 
 TESTS = Path(__file__).resolve().parent
+LONGEST_FIRST = ("heavy", "dag", "slow", "unit")
 COLLECTED = pytest.StashKey[list]()  # all tests found, those left out by -m too
 
 
@@ -56,10 +57,17 @@ def tier_of(path: Path, marks: set[str], fixtures=()) -> str:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Mark every test with its tier, before -m selects."""
+    """Mark every test with its tier, before -m selects; files with long tests come first, so that
+    no worker begins one while the other has nothing left.
+    """
+    rank: dict[Path, int] = {}
     for item in items:
         marks = {mark.name for mark in item.iter_markers()}
-        item.add_marker(tier_of(item.path, marks, item.fixturenames))
+        tier = tier_of(item.path, marks, item.fixturenames)
+        item.add_marker(tier)
+        place = LONGEST_FIRST.index(tier)
+        rank[item.path] = min(place, rank.get(item.path, place))
+    items.sort(key=lambda item: rank[item.path])
     config.stash[COLLECTED] = list(items)
 
 

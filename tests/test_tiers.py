@@ -2,10 +2,10 @@
 
 import pytest
 
-from tests.conftest import COLLECTED, TESTS, tier_of
+from tests.conftest import COLLECTED, LONGEST_FIRST, TESTS, tier_of
 
 TIERS = {"unit", "slow", "dag", "heavy"}
-WORKERS = ["-n", "2", "--dist", "loadfile"]
+WORKERS = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]
 
 
 def test_every_test_is_of_the_one_tier_of_its_place(request):
@@ -16,6 +16,16 @@ def test_every_test_is_of_the_one_tier_of_its_place(request):
         assert len(set(tiers)) == 1, item.nodeid
         assert (tiers[0] == folder) == (folder in ("dag", "heavy")), item.nodeid
         assert tiers[0] in ("unit", "slow", folder), item.nodeid
+
+
+def test_files_with_long_tests_come_first(request):
+    """A worker that begins one last keeps the other waiting."""
+    place: dict = {}
+    for item in request.config.stash[COLLECTED]:
+        tier = next(mark.name for mark in item.iter_markers() if mark.name in TIERS)
+        place.setdefault(item.path, set()).add(LONGEST_FIRST.index(tier))
+    first = [min(places) for places in place.values()]  # in the order of the run
+    assert first == sorted(first)
 
 
 def test_a_plain_run_leaves_out_the_heavy_tests_only(pytestconfig):
