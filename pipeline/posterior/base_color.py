@@ -24,7 +24,7 @@ import numpy as np
 
 from pipeline.posterior.map_pixels import MapPixels, single
 from pipeline.posterior.map_pyramid import TexelSums, coarse_to_fine
-from pipeline.posterior.pixel_loops import weigh_into
+from pipeline.posterior.pixel_loops import doubt_into, secants_into
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE
 from pipeline.posterior.shading import Shading
 
@@ -68,10 +68,23 @@ def shared_between_photos(pixels: MapPixels, shading: Shading) -> Shading:
 def weighed(
     picture: np.ndarray, photo: np.ndarray, known: np.ndarray, contradiction: float = np.inf
 ) -> tuple[np.ndarray, float]:
-    """The weights (n, 3) and the mean squared relative error of `weigh_into`."""
-    weight = np.empty_like(photo)
-    loss = weigh_into(picture, photo, known, contradiction, SHADE, weight)
-    return weight, loss
+    """What a photo's difference from a picture, both (n, 3), counts, (n, 3): that of the log
+    (`secants_into`), where pixels are known (n,) and are not contradicted (`doubt_into`); and the
+    mean squared relative error.
+    """
+    shade, weight = np.float32(SHADE), np.empty_like(photo)
+    logs = log_above(picture, shade), log_above(photo, shade)
+    flat = (array.ravel() for array in (picture, photo, *logs))
+    total = secants_into(*flat, shade, weight.ravel())
+    doubt_into(*logs, known, np.float32(contradiction), weight)
+    return weight, total / max(photo.size, 1)
+
+
+def log_above(values: np.ndarray, floor: np.float32) -> np.ndarray:
+    """log(values + floor), values below 0 taken as 0."""
+    found = np.maximum(values, np.float32(0))
+    found += floor
+    return np.log(found, out=found)
 
 
 class ColorSolver:

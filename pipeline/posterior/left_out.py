@@ -48,8 +48,8 @@ def folds(observations: Observations, rng: np.random.Generator) -> list[Fold]:
     until MOST_LEFT_OUT photos judge, or all do. None where there are fewer than FEWEST_PHOTOS, or
     all blocks are fewer than FEWEST.
     """
-    photos = np.unique(observations.view)
-    if len(photos) < FEWEST_PHOTOS or len(np.unique(block_of(observations))) < FEWEST:
+    photos, block = np.unique(observations.view), block_of(observations)
+    if len(photos) < FEWEST_PHOTOS or block.max() + 1 < FEWEST:
         return []
     count = min(max(1, round(LEFT_OUT * len(photos))), MOST_LEFT_OUT)
     turns = min(-(-MOST_LEFT_OUT // count), len(photos) // count)
@@ -57,33 +57,34 @@ def folds(observations: Observations, rng: np.random.Generator) -> list[Fold]:
     # so many of all photos' pixels that each fold has SOLVED, most of them in every fold
     most = round(SOLVED * len(photos) / (len(photos) - count))
     enough = np.sort(rng.permutation(len(observations))[:most])
-    return [split(observations, out, enough, JUDGED // len(sets), rng) for out in sets]
+    return [split(observations, block, out, enough, JUDGED // len(sets), rng) for out in sets]
 
 
 def block_of(observations: Observations) -> np.ndarray:
-    """Of which block of which photo every observed pixel is: (n,)."""
+    """Of which block of which photo every observed pixel is (n,), numbered from 0."""
     long_side = max(max(view.width, view.height) for view in observations.views)
     side = max(FINEST, -(-long_side // BLOCKS))
     column, row = observations.pixel.T.astype(int) // side
     name = (observations.view * (row.max() + 1) + row) * (column.max() + 1) + column
-    return np.unique(name, return_inverse=True)[1]
+    return (np.cumsum(np.bincount(name) > 0) - 1)[name]
 
 
 def split(
     observations: Observations,
+    block: np.ndarray,
     out: np.ndarray,
     enough: np.ndarray,
     judged: int,
     rng: np.random.Generator,
 ) -> Fold:
     """`judged` pixels of the photos `out`, or as many as there are, and those of `enough` that the
-    others show.
+    others show; block (n,): of all pixels (`block_of`).
     """
     is_out = np.isin(observations.view, out)
     judging = np.flatnonzero(is_out)
     judging = np.sort(rng.choice(judging, min(judged, len(judging)), replace=False))
     kept = enough[~is_out[enough]]
-    return Fold(kept, judging, block_of(observations)[judging], len(out))
+    return Fold(kept, judging, block[judging], len(out))
 
 
 def residuals(

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from pipeline.posterior.pixel_loops import blend_into
+
 COARSEST = 32  # side of the pyramid's smallest map
 
 
@@ -22,13 +24,19 @@ class TexelSums:
 
     def halved(self) -> TexelSums:
         """The map of half the side."""
-        total = lambda image: np.add.reduce([image[i::2, j::2] for i in (0, 1) for j in (0, 1)])
-        return TexelSums(total(self.color), total(self.shading), total(self.pixels))
+        return TexelSums(*map(quarters, (self.color, self.shading, self.pixels)))
+
+
+def quarters(image: np.ndarray) -> np.ndarray:
+    """Sums of four texels each, (t / 2, t / 2, c), of a map (t, t, c)."""
+    side = len(image) // 2
+    mean = cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
+    return 4 * mean.reshape(side, side, -1)
 
 
 def larger(image: np.ndarray, side: int) -> np.ndarray:
     """A map (t, t, 3) at the size (side, side, 3)."""
-    return cv2.resize(image.astype(np.float32), (side, side)).reshape(side, side, 3)
+    return cv2.resize(image, (side, side)).reshape(side, side, 3)
 
 
 def coarse_to_fine(sums: TexelSums, around: float) -> np.ndarray:
@@ -39,16 +47,12 @@ def coarse_to_fine(sums: TexelSums, around: float) -> np.ndarray:
     while levels[-1].pixels.shape[0] % 2 == 0 and levels[-1].pixels.shape[0] > COARSEST:
         levels.append(levels[-1].halved())
 
-    total = lambda image: image.sum((0, 1), keepdims=True)
-    whole = TexelSums(*(total(image) for image in (sums.color, sums.shading, sums.pixels)))
+    end, total = levels[-1], lambda image: image.sum((0, 1), keepdims=True)
+    whole = TexelSums(*(total(image) for image in (end.color, end.shading, end.pixels)))
     color = whole.color / np.maximum(whole.shading, 1e-9)
     shading = whole.shading / np.maximum(whole.pixels, 1e-9)  # of one pixel, around each texel
     for level in reversed(levels):
         side = level.pixels.shape[0]
-        color = larger(color, side)
-        shading = larger(shading, side)
-
-        weight = around * shading
-        color = (level.color + weight * color) / np.maximum(level.shading + weight, 1e-9)
-        shading = (level.shading + shading) / (level.pixels + 1)
+        color, shading = larger(color, side), larger(shading, side)
+        blend_into(color, shading, level.color, level.shading, level.pixels, np.float32(around))
     return color

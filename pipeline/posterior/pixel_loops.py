@@ -1,11 +1,15 @@
 """Loops over observed pixels, compiled with numba: each goes through the pixels once, where array
 by array millions of them would be read and written many times.
 
-n pixels, at texture coordinates uv (n, 2) of maps (t, t, c), row 0 of which is v = 1; texel centres
-lie at +0.5. Arrays are float32 where nothing else is said.
+n pixels, each between four texels of a map with t * t texels, row after row: `texel` (n, 4),
+uint32, says which they are and `share` (n, 4) how near they lie (`corners`). Arrays are float32
+where nothing else is said. A division by zero gives infinity, as numpy does: numba's own check for
+it would keep a loop from being vectorised.
 """
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -13,114 +17,153 @@ from numba import njit
 ZERO = np.float32(0)
 ONE = np.float32(1)
 HALF = np.float32(0.5)
-LEVEL = np.float32(1e-3)  # relative differences below which log(1 + d) / d is 1
+DARK = np.float32(1e-9)  # what a mean is not divided by
+LEVEL = np.float32(1e-2)  # relative differences d below which log(1 + d) / d is 1 - d / 2
+compiled = partial(njit, cache=True, error_model="numpy")
+# sums in any order
+summing = partial(compiled, fastmath={"reassoc", "contract", "nsz"})
 
 
-@njit(cache=True)
-def four_texels(u: float, v: float, side: int) -> tuple[int, int, int, int, float, float]:
-    """The rows and columns between which a place of a map lies, and how far between them."""
-    x, y = np.float32(u * side) - HALF, np.float32((ONE - v) * side) - HALF
-    left, top = np.floor(x), np.floor(y)
-    column, row, end = int(left), int(top), side - 1
-    above, below = min(max(row, 0), end), min(max(row + 1, 0), end)
-    before, after = min(max(column, 0), end), min(max(column + 1, 0), end)
-    return above, below, before, after, x - left, y - top
-
-
-@njit(cache=True)
-def gather_into(image: np.ndarray, uv: np.ndarray, out: np.ndarray) -> None:
-    """Bilinear values of an image, written to `out` (n, c)."""
+@compiled()
+def corners_into(uv: np.ndarray, side: int, texel: np.ndarray, share: np.ndarray) -> None:
+    """Write the four texels around places uv (n, 2) of a map (side, side), and their bilinear
+    shares. Row 0 of it is v = 1; texel centres lie at +0.5; beyond the last ones the map goes on.
+    """
+    end = side - 1
     for i in range(len(uv)):
-        above, below, before, after, x, y = four_texels(uv[i, 0], uv[i, 1], len(image))
-        for c in range(image.shape[2]):
-            up = (ONE - x) * image[above, before, c] + x * image[above, after, c]
-            down = (ONE - x) * image[below, before, c] + x * image[below, after, c]
-            out[i, c] = (ONE - y) * up + y * down
+        x, y = np.float32(uv[i, 0] * side) - HALF, np.float32((ONE - uv[i, 1]) * side) - HALF
+        left, top = np.floor(x), np.floor(y)
+        column, row = int(left), int(top)
+        above, below = min(max(row, 0), end), min(max(row + 1, 0), end)
+        before, after = min(max(column, 0), end), min(max(column + 1, 0), end)
+        x, y = x - left, y - top
+        texel[i, 0], share[i, 0] = above * side + before, (ONE - x) * (ONE - y)
+        texel[i, 1], share[i, 1] = above * side + after, x * (ONE - y)
+        texel[i, 2], share[i, 2] = below * side + before, (ONE - x) * y
+        texel[i, 3], share[i, 3] = below * side + after, x * y
 
 
-@njit(cache=True)
-def scatter_onto(uv: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
-    """Add values (n, c) bilinearly to the map `out`: the transpose of `gather_into`."""
-    for i in range(len(uv)):
-        above, below, before, after, x, y = four_texels(uv[i, 0], uv[i, 1], len(out))
-        for c in range(values.shape[1]):
-            up, down = (ONE - y) * values[i, c], y * values[i, c]
-            out[above, before, c] += (ONE - x) * up
-            out[above, after, c] += x * up
-            out[below, before, c] += (ONE - x) * down
-            out[below, after, c] += x * down
+def corners(uv: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """`texel` and `share` of places uv (n, 2) of a map (side, side)."""
+    texel, share = np.empty((len(uv), 4), np.uint32), np.empty((len(uv), 4), np.float32)
+    corners_into(np.ascontiguousarray(uv, np.float32), side, texel, share)
+    return texel, share
 
 
-@njit(cache=True)
-def left_over_onto(
-    uv: np.ndarray,
+@compiled()
+def gather_into(image: np.ndarray, texel: np.ndarray, share: np.ndarray, out: np.ndarray) -> None:
+    """Bilinear values of an image (t * t, c), written to `out` (n, c)."""
+    for i in range(len(texel)):
+        a, b, c, d = texel[i, 0], texel[i, 1], texel[i, 2], texel[i, 3]
+        of_a, of_b, of_c, of_d = share[i, 0], share[i, 1], share[i, 2], share[i, 3]
+        for k in range(image.shape[1]):
+            upper = of_a * image[a, k] + of_b * image[b, k]
+            out[i, k] = upper + of_c * image[c, k] + of_d * image[d, k]
+
+
+@compiled()
+def scatter_onto(texel: np.ndarray, share: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
+    """Add values (n, c) bilinearly to the map `out` (t * t, c): the transpose of `gather_into`."""
+    if values.shape[1] == 3:  # the same, in an order that is vectorised
+        for i in range(len(texel)):
+            for corner in range(4):
+                place, part = texel[i, corner], share[i, corner]
+                for k in range(3):
+                    out[place, k] += part * values[i, k]
+        return
+    for k in range(values.shape[1]):
+        for i in range(len(texel)):
+            value = values[i, k]
+            out[texel[i, 0], k] += share[i, 0] * value
+            out[texel[i, 1], k] += share[i, 1] * value
+            out[texel[i, 2], k] += share[i, 2] * value
+            out[texel[i, 3], k] += share[i, 3] * value
+
+
+@compiled()
+def left_over_into(
     color: np.ndarray,
     scaled: np.ndarray,
     rest: np.ndarray,
     photo: np.ndarray,
     weight: np.ndarray,
-    out: np.ndarray,
 ) -> None:
-    """Add weight (photo - (color scaled + rest)) of every pixel to the map `out`; color: a map, the
-    others (n, 3).
-    """
-    for i in range(len(uv)):
-        above, below, before, after, x, y = four_texels(uv[i, 0], uv[i, 1], len(out))
-        for c in range(3):
-            up = (ONE - x) * color[above, before, c] + x * color[above, after, c]
-            down = (ONE - x) * color[below, before, c] + x * color[below, after, c]
-            picture = ((ONE - y) * up + y * down) * scaled[i, c] + rest[i, c]
-            left = weight[i, c] * (photo[i, c] - picture)
-            up, down = (ONE - y) * left, y * left
-            out[above, before, c] += (ONE - x) * up
-            out[above, after, c] += x * up
-            out[below, before, c] += (ONE - x) * down
-            out[below, after, c] += x * down
+    """Overwrite colours (m,) with weight (photo - (color scaled + rest)); all are (m,)."""
+    for i in range(len(color)):
+        color[i] = weight[i] * (photo[i] - (color[i] * scaled[i] + rest[i]))
 
 
-@njit(cache=True)
-def secant(picture: np.float32, photo: np.float32, floor: np.float32) -> np.float32:
-    """(log(photo + floor) - log(picture + floor)) / (photo - picture) / (picture + floor) of values
-    that are not below 0.
-    """
-    floored = picture + floor
-    more = (photo - picture) / floored
-    slope = ONE if abs(more) < LEVEL else np.log1p(more) / more
-    return slope / (floored * floored)
-
-
-@njit(cache=True)
-def weigh_into(
+@summing()
+def secants_into(
     picture: np.ndarray,
     photo: np.ndarray,
-    known: np.ndarray,
-    contradiction: float,
-    floor: float,
+    log_picture: np.ndarray,
+    log_photo: np.ndarray,
+    floor: np.float32,
     weight: np.ndarray,
 ) -> float:
-    """Write to `weight` (n, 3) what a photo's difference from a picture, both (n, 3), counts: that
-    of the log (`secant`), times known (n,), times Cauchy's 1 / (1 + d^2), d the mean over the
-    channels of |log| over `contradiction`; infinity: times 1. Returns the mean squared relative
-    error.
+    """Write to `weight`, for values of a picture and a photo and the logs of either above `floor`,
+    what their difference counts as that of the logs, (log(photo + floor) - log(picture + floor)) /
+    (photo - picture) / (picture + floor), values below 0 taken as 0. Returns the sum of squared
+    relative errors. All are (m,).
     """
-    total, shade, tolerated = 0.0, np.float32(floor), np.float32(3 * contradiction)
+    total = 0.0
+    for i in range(len(picture)):
+        relative = (photo[i] - picture[i]) / (photo[i] + floor)
+        total += relative * relative
+        floored = max(picture[i], ZERO) + floor
+        more = (max(photo[i], ZERO) + floor - floored) / floored
+        near = abs(more) < LEVEL
+        slope = (log_photo[i] - log_picture[i]) / (ONE if near else more)
+        weight[i] = (ONE - HALF * more if near else slope) / (floored * floored)
+    return total
+
+
+@summing()
+def doubt_into(
+    log_picture: np.ndarray,
+    log_photo: np.ndarray,
+    known: np.ndarray,
+    contradiction: np.float32,
+    weight: np.ndarray,
+) -> None:
+    """Multiply weights (n, 3) by known (n,) and Cauchy's 1 / (1 + d^2), d the mean over channels of
+    the logs' difference over `contradiction`; infinity: times 1.
+    """
     for i in range(len(known)):
         off = ZERO
-        for c in range(3):
-            relative = (photo[i, c] - picture[i, c]) / (photo[i, c] + shade)
-            total += relative * relative
-            if tolerated < np.inf:
-                floored = max(picture[i, c], ZERO) + shade
-                off += abs(np.log(floored / (photo[i, c] + shade)))
-        off /= tolerated
+        for k in range(3):
+            off += abs(log_photo[i, k] - log_picture[i, k])
+        off /= 3 * contradiction
         trust = known[i] / (ONE + off * off)
-        for c in range(3):
-            seen, shown = max(photo[i, c], ZERO), max(picture[i, c], ZERO)
-            weight[i, c] = trust * secant(shown, seen, shade)
-    return total / max(photo.size, 1)
+        for k in range(3):
+            weight[i, k] *= trust
 
 
-@njit(cache=True)
+@compiled()
+def blend_into(
+    color: np.ndarray,
+    shading: np.ndarray,
+    of_color: np.ndarray,
+    of_shading: np.ndarray,
+    pixels: np.ndarray,
+    around: np.float32,
+) -> None:
+    """Overwrite a map's colours (t, t, 3), known from around each texel, with what its own sums
+    (`TexelSums`) say besides, and the shading of one pixel with the mean over those and one more.
+    """
+    for row in range(len(color)):
+        for column in range(color.shape[1]):
+            count = pixels[row, column, 0] + ONE
+            for k in range(3):
+                weight = around * shading[row, column, k]
+                lit = of_shading[row, column, k]
+                both = of_color[row, column, k] + weight * color[row, column, k]
+                color[row, column, k] = both / max(lit + weight, DARK)
+                shading[row, column, k] = (lit + shading[row, column, k]) / count
+
+
+@compiled()
 def add_moments(number: np.ndarray, guide: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
     """Add to `out` (cells, 1 + g, 1 + g + c), float64, the products of (1, guide) with (1, guide,
     values) of every pixel, each in the cell `number` (n,); guide (n, g), values (n, c).
@@ -136,7 +179,7 @@ def add_moments(number: np.ndarray, guide: np.ndarray, values: np.ndarray, out: 
                 sums[j, k] += right[j] * right[k]
 
 
-@njit(cache=True)
+@compiled()
 def predict_into(
     coefficients: np.ndarray,
     weight: np.ndarray,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from scipy import ndimage, sparse
 
-from pipeline.posterior.pixel_loops import scatter_onto
+from pipeline.posterior.pixel_loops import corners, scatter_onto
 
 REMAP_SIDE = 16384  # cv2.remap takes no more than 32767 values a side
 
@@ -23,10 +23,9 @@ def texel_position(uv: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 def splat(uv: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
     """Add values (n, c) at uv (n, 2) bilinearly into a map (size, size, c)."""
-    total = np.zeros((size, size, values.shape[1]))
-    single = lambda array: np.ascontiguousarray(array, np.float32)
-    scatter_onto(single(uv), single(values), total)
-    return total
+    total = np.zeros((size * size, values.shape[1]))
+    scatter_onto(*corners(uv, size), np.ascontiguousarray(values, np.float32), total)
+    return total.reshape(size, size, -1)
 
 
 def bilinear_matrix(uv: np.ndarray, size: int) -> sparse.csr_matrix:
