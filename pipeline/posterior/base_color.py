@@ -74,8 +74,8 @@ def weighed(
     """
     shade, weight = np.float32(SHADE), np.empty_like(photo)
     logs = log_above(picture, shade), log_above(photo, shade)
-    flat = (array.ravel() for array in (picture, photo, *logs))
-    total = secants_into(*flat, shade, weight.ravel())
+    values = [array.ravel() for array in (picture, photo, *logs, weight)]
+    total = secants_into(*values, shade)
     doubt_into(*logs, known, np.float32(contradiction), weight)
     return weight, total / max(photo.size, 1)
 

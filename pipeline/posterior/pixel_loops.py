@@ -9,7 +9,8 @@ it would keep a loop from being vectorised.
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -19,9 +20,12 @@ ONE = np.float32(1)
 HALF = np.float32(0.5)
 DARK = np.float32(1e-9)  # what a mean is not divided by
 LEVEL = np.float32(1e-2)  # relative differences d below which log(1 + d) / d is 1 - d / 2
-compiled = partial(njit, cache=True, error_model="numpy")
-# sums in any order
-summing = partial(compiled, fastmath={"reassoc", "contract", "nsz"})
+SUMS = {"reassoc", "contract", "nsz"}  # liberties of sums, which may be taken in any order
+
+
+def compiled(**options: Any) -> Callable:
+    """numba's decorator, as all loops here have it."""
+    return njit(cache=True, error_model="numpy", **options)
 
 
 @compiled()
@@ -93,14 +97,14 @@ def left_over_into(
         color[i] = weight[i] * (photo[i] - (color[i] * scaled[i] + rest[i]))
 
 
-@summing()
+@compiled(fastmath=SUMS)
 def secants_into(
     picture: np.ndarray,
     photo: np.ndarray,
     log_picture: np.ndarray,
     log_photo: np.ndarray,
-    floor: np.float32,
     weight: np.ndarray,
+    floor: np.float32,
 ) -> float:
     """Write to `weight`, for values of a picture and a photo and the logs of either above `floor`,
     what their difference counts as that of the logs, (log(photo + floor) - log(picture + floor)) /
@@ -119,7 +123,7 @@ def secants_into(
     return total
 
 
-@summing()
+@compiled(fastmath=SUMS)
 def doubt_into(
     log_picture: np.ndarray,
     log_photo: np.ndarray,

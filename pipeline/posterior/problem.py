@@ -89,6 +89,7 @@ class Problem:
             index = rng.integers(len(observations), size=pixels)
         else:
             index = rng.choice(np.flatnonzero(observations.view == view), pixels)
+        index = np.sort(index)  # neighbours' rays follow each other (`by_place`)
 
         origins, directions = observations.rays(np.broadcast_to(index, (spp, pixels)), rng)
         return PixelBatch(

@@ -36,6 +36,7 @@ from pipeline.render.surroundings import Surroundings
 FEWEST_PIXELS = 100
 DEFAULT_POSES = Poses()
 SUBPIXELS = 4  # points along a pixel's side that maps are averaged over
+PLACES = 20  # pieces along a side of the map that pixels are ordered by
 
 
 def inner_mask(mask: np.ndarray, erode: float) -> np.ndarray:
@@ -239,6 +240,17 @@ def exposures(
     return surface_photometry(table, views, rig, str(poses), photometry)
 
 
+def by_place(uv: np.ndarray) -> np.ndarray:
+    """An order of pixels at texture coordinates uv (n, 2) in which those of one part of the surface
+    follow each other, whatever photo they are of: by square pieces of the map.
+
+    Their rays leave the surface alike and read the same texels: in this order paths take three
+    quarters of the time.
+    """
+    column, row = np.clip((PLACES * uv).astype(np.int16), 0, PLACES - 1).T
+    return np.argsort(row * np.int16(PLACES) + column, kind="stable")
+
+
 class Observations:
     """The table in memory, with jittered camera rays for any subset. stops: log2 gains (3,) that
     are divided out, by the view's name. Raises InputError where there is no table.
@@ -249,12 +261,13 @@ class Observations:
         if not table.exists():
             raise InputError("there are no observations", table, "run the observe stage first")
         data = np.load(table)
-        self.view = data["view"].astype(int)
-        self.pixel = data["pixel"]
-        self.rgb = data["rgb"]
-        self.clipped = data["clipped"]
-        self.uv = data["uv"]
-        self.cosine = data["cosine"]
+        order = by_place(data["uv"])
+        self.view = data["view"][order].astype(int)
+        self.pixel = data["pixel"][order]
+        self.rgb = data["rgb"][order]
+        self.clipped = data["clipped"][order]
+        self.uv = data["uv"][order]
+        self.cosine = data["cosine"][order]
         self.surroundings = Surroundings.of(data)
 
         self.rig = load_cameras(cameras)
