@@ -5,9 +5,9 @@ python -m benchmarks.faults --folder FOLDER --out rows.json [--count 10] [--only
 
 Faults: kill -9 of a job, of the driver, of both, at random moments; files that lose their end; two
 runs at once; clocks that jump; a disk that gets full in each stage. --count: cases of each random
-kind. A case that has its row in FOLDER is not run again, and --out is written after each case: it
-holds all rows of FOLDER, those that another process of this command has made there too. One thread;
-one to three minutes a case.
+kind. A case that has its row in FOLDER is not run again, nor one that another process of this
+command is at, and --out is written after each case: it holds all rows of FOLDER, whichever process
+has made them. One thread; one to three minutes a case.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import os
 import shutil
 import sys
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +29,7 @@ from benchmarks.faults.chain import Chain
 from benchmarks.faults.disk import EXPORTING, ORDER, full_in
 from pipeline.base.errors import run_stage
 from pipeline.base.files import read_json, write_json
+from pipeline.base.locks import lock
 
 RANDOM = {
     "kill -9 of a job": cases.kill_job,
@@ -124,6 +127,18 @@ def place_of(folder: Path, kind: str, number: int) -> Path:
     return folder / f"{kind.replace(' ', '_')}_{number}"
 
 
+@contextmanager
+def by_itself(folder: Path) -> Iterator[bool]:
+    """Whether no other process is at the case of this folder; if so, none is meanwhile."""
+    try:
+        held = lock(folder.with_suffix(".lock"))
+    except BlockingIOError:
+        yield False
+        return
+    with held:
+        yield True
+
+
 def gather(folder: Path, out: Path, count: int, seconds: float) -> list[dict]:
     """Write the rows of all cases that have one, and return them."""
     files = [place_of(folder, kind, n).with_suffix(".json") for kind, n, _ in all_cases(count)]
@@ -152,21 +167,24 @@ def _run() -> None:
 
     top = args.folder.resolve()
     top.mkdir(parents=True, exist_ok=True)
-    start = begin(top)
+    with lock(top / "begin.lock", wait=True):
+        start = begin(top)
     failed = 0
     for kind, number, case in all_cases(args.count):
+        if args.only not in kind:
+            continue
         folder = place_of(top, kind, number)
-        done = folder.with_suffix(".json")
-        if args.only not in kind or done.exists():
-            continue
-        row = in_a_child(kind, number, case, start, folder)
-        if row is None:
-            failed += 1
-            continue
-        print(f"{kind} {number}: {said(row)}", flush=True)
-        if not row["tried"] or row["right"]:
-            shutil.rmtree(folder, ignore_errors=True)
-        gather(top, args.out, args.count, start.seconds)
+        with by_itself(folder) as mine:
+            if not mine or folder.with_suffix(".json").exists():
+                continue
+            row = in_a_child(kind, number, case, start, folder)
+            if row is None:
+                failed += 1
+                continue
+            print(f"{kind} {number}: {said(row)}", flush=True)
+            if not row["tried"] or row["right"]:
+                shutil.rmtree(folder, ignore_errors=True)
+            gather(top, args.out, args.count, start.seconds)
 
     rows = [row for row in gather(top, args.out, args.count, start.seconds) if row["tried"]]
     right = sum(row["right"] for row in rows)

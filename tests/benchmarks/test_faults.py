@@ -7,7 +7,7 @@ import json
 import pytest
 
 from benchmarks.faults import cases
-from benchmarks.faults.__main__ import all_cases
+from benchmarks.faults.__main__ import all_cases, by_itself
 from benchmarks.faults.chain import Chain
 from tests.seeds import numpy_rng
 
@@ -62,3 +62,11 @@ def test_a_damaged_file_is_shorter_and_as_old_as_before(chain, tmp_path):
 def test_cases_have_names_of_their_own():
     found = [(kind, number) for kind, number, _ in all_cases(30)]
     assert len(found) == len(set(found)) == 4 * 30 + 17
+
+
+def test_a_case_that_is_being_told_is_told_by_nobody_else(tmp_path):
+    with by_itself(tmp_path / "a") as mine, by_itself(tmp_path / "a") as again:
+        with by_itself(tmp_path / "b") as other:
+            assert mine and other and not again
+    with by_itself(tmp_path / "a") as mine:
+        assert mine
