@@ -81,7 +81,8 @@ def work(tmp_path, ball, ring):
 
     names = np.array([view.name for view in views])
     none = np.zeros(0)
-    columns = dict.fromkeys(("view", "pixel", "rgb", "clipped", "uv", "cosine"), none)
+    columns = dict.fromkeys(("view", "pixel", "rgb", "clipped", "cosine"), none)
+    columns |= {"uv": np.zeros((0, 2))}
     file = folder / "observe" / "observations.npz"
     np.savez(file, **columns, views=names[1:], held_out=names[:1])
 
