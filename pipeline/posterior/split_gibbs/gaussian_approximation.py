@@ -69,24 +69,26 @@ def transposed(J: torch.Tensor, fold: Folding, w: torch.Tensor) -> torch.Tensor:
 
 
 def cholesky(A: torch.Tensor) -> torch.Tensor:
-    """Of a positive definite matrix; a little more diagonal where rounding asks for it."""
+    """Of a positive definite matrix, by its lower triangle; a little more diagonal where rounding
+    asks for it.
+    """
     for jitter in (0.0, 1e-6, 1e-5, 1e-4, 1e-3):
-        factor, bad = torch.linalg.cholesky_ex(A + jitter * A.diagonal().mean() * torch.eye(len(A)))
+        more = jitter * A.diagonal().mean()
+        factor, bad = torch.linalg.cholesky_ex(A + more * torch.eye(len(A)) if jitter else A)
         if not bad:
             return factor
     raise FloatingPointError("the light's curvature is not positive definite")
 
 
 def gram(J: torch.Tensor) -> torch.Tensor:
-    """J J' of one matrix: half the work of a product."""
-    G = torch.from_numpy(ssyrk(1.0, J.numpy().T, trans=1))  # Fortran order: upper triangle only
-    return G + G.triu(1).T
+    """The lower triangle of J J', zero above: half the work of a product."""
+    return torch.from_numpy(ssyrk(1.0, J.numpy().T, trans=1, lower=1))
 
 
 @dataclass(frozen=True)
 class Curvature:
     """A = J' J + I / s^2 of one channel, J (n, k): solved in whichever of the two spaces is smaller
-    (Woodbury).
+    (Woodbury). inner: the lower triangle of J' J there, or of J J'.
     """
 
     J: torch.Tensor
@@ -126,7 +128,9 @@ class Curvature:
 
 def factor_of(inner: torch.Tensor, s: float) -> torch.Tensor:
     """Cholesky factor of s^2 inner + I."""
-    return cholesky(s**2 * inner + torch.eye(len(inner)))
+    A = s**2 * inner
+    A.diagonal().add_(1)
+    return cholesky(A)
 
 
 @dataclass(frozen=True)
