@@ -31,7 +31,6 @@ from pipeline.render.renderer import Explanation, Renderer, resize_explanation
 
 Descent = Callable[[Problem, Prior, Explanation, Sample, int], tuple[Explanation, dict]]
 LOSS_STEPS = 8  # batches that the data term at the fit is averaged over
-JUDGES = 4  # batches that the last state and the best one before it are compared by
 DARKEST = 1e-4  # of the mean radiance, from which the light moves
 DIRECT = 2  # the renderer's depth at which surfaces do not light each other
 
@@ -105,18 +104,16 @@ def descend(
     rng: np.random.Generator,
     prior_term: PriorTerm = no_prior,
 ) -> tuple[Explanation, dict]:
-    """Adam on light and materials, down the data term plus `prior_term`. Returns the last state or
-    the one with the least running mean of both, whichever is better by the same pixels and paths;
-    and facts: the loss at first, where it ends and of what is returned, and after which step.
+    """Adam on light and materials, down the data term plus `prior_term`. Returns the state with the
+    least running mean of both, and facts: the loss at first, where it ends and what is returned.
 
     The last state may be worse than one before it: Adam's normalised steps follow the median of a
-    slope, and where a few paths carry most of the light the median is not the mean. The running
-    mean alone would often choose too early a state: one of those paths late in a run raises it.
+    slope, and where a few paths carry most of the light the median is not the mean.
     """
     rate = 2 * settings.learning_rate
     materials = MaterialOptimizer(first, rate, problem.roughness_min)
     best = BestState(settings.steps)
-    losses, of_prior = [], []
+    losses = []
     with Bar(f"sample {seed}", settings.steps) as bar:
         for step in range(settings.steps):
             now = rate * 0.1 ** (step / settings.steps)
@@ -128,35 +125,13 @@ def descend(
             gradient = problem.gradient(x, batch, renderer_seed(rng))
             value, slope = prior_term(x.light)
             losses.append(gradient.loss + value)
-            of_prior.append(value)
             best.see(step, x, losses[-1])
 
             light.step(gradient.light + slope, x.light)
             materials.step(gradient)
             bar.step(f"loss {best.running_mean:.4f}")
-
-    last, judge = materials.explanation(light.light()), renderer_seed(rng)
-    states = {
-        settings.steps: (last, prior_term(last.light)[0]),
-        best.step: (best.explanation, of_prior[best.step]),
-    }
-    loss_of = {
-        step: judged_loss(problem, x, settings, judge) + value
-        for step, (x, value) in states.items()
-    }
-    chosen = min(loss_of, key=loss_of.__getitem__)
     facts = {"loss_first": losses[0], "loss_last": losses[-1]}
-    return states[chosen][0], facts | {"loss": loss_of[chosen], "best_step": chosen}
-
-
-def judged_loss(problem: Problem, x: Explanation, settings: Sample, seed: int) -> float:
-    """The data term at `x` as the descent sees it, mean over JUDGES batches; the same pixels and
-    paths for one seed.
-    """
-    rng = np.random.default_rng(seed)
-    batches = (problem.batch(settings.pixels, settings.spp, rng) for _ in range(JUDGES))
-    losses = [problem.gradient(x, batch, renderer_seed(rng)).loss for batch in batches]
-    return float(np.mean(losses))
+    return best.explanation, facts | {"loss": best.loss, "best_step": best.step}
 
 
 def begun(start: Explanation, prior: Prior, settings: Sample) -> tuple[Explanation, float]:
