@@ -1,11 +1,11 @@
 #!/bin/sh
 # Make requirements.lock anew from pyproject.toml: every package, pinned, with the sha256 of each of
 # its files. Versions that are in the lock stay, unless pyproject.toml forbids them or they are asked
-# to move: `sh .ci/lock.sh --upgrade-package numpy`, or `--upgrade` for all. Needs `uv` on the PATH
-# (`pip install uv` into any environment but .venv).
+# to move: `sh .ci/lock.sh --upgrade-package numpy`, or `--upgrade` for all. Needs `uv` on the PATH:
+# activate .venv first.
 set -eu
 cd "$(dirname "$0")/.."
-command -v uv >/dev/null || { echo "lock.sh: uv is not on the PATH; pip install uv" >&2; exit 1; }
+command -v uv >/dev/null || { echo "lock.sh: uv is not on the PATH; activate .venv" >&2; exit 1; }
 
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

@@ -129,11 +129,14 @@ case "$*" in
     *"-m venv"*)
         mkdir -p .venv/bin
         cp "$0" .venv/bin/python
+        cp "$0" .venv/bin/uv
         printf '#!/bin/sh\\necho examined\\n' >.venv/bin/heliograph
         chmod +x .venv/bin/heliograph ;;
-    *"-m pip"*)
-        echo "$*" >>calls
-        [ ! -f no_network ] || { echo "pip: no network" >&2; exit 1; }
+    *"config list") echo ":env:.find-links='/wheels'" ;;
+    *"pip install "* | *"-m pip"*)
+        echo "$0 $* from $UV_FIND_LINKS" >>calls
+        [ ! -f no_network ] || { echo "no network" >&2; exit 1; }
+        case "$0" in *uv) [ ! -f no_uv ] || exit 1 ;; esac
         for last in "$@"; do :; done
         [ ! -f "$last" ] || { cat "$last"; echo "# end of a call"; } >>installed ;;
     *) exec REAL "$@" ;;
@@ -166,17 +169,29 @@ def checkout(tmp_path):
     return tmp_path, run
 
 
-def test_setup_installs_the_whole_lock_in_pieces(checkout):
+def test_setup_installs_the_whole_lock(checkout):
     folder, run = checkout
     done = run()
     assert done.returncode == 0 and done.stdout.endswith("examined\n"), done.stderr
-    pieces = [requirements(p) for p in (folder / "installed").read_text().split("# end of a call")]
-    assert [r.split("==")[0] for r in pieces[0]] == ["setuptools", "wheel-axle-runtime"]
-    assert max(map(len, pieces)) <= 12
-    assert sorted(r for p in pieces for r in p if r) == sorted(requirements(LOCK))
-    *lock_calls, project_call = (folder / "calls").read_text().splitlines()
-    assert all("--require-hashes" in call and "--no-deps" in call for call in lock_calls)
-    assert "--editable ." in project_call and "--no-deps" in project_call
+    texts = (folder / "installed").read_text().split("# end of a call\n")
+    first, whole = (requirements(text) for text in texts[:2])
+    assert [r.split("==")[0] for r in first] == ["setuptools", "uv", "wheel-axle-runtime"]
+    assert set(first) < set(whole) == set(requirements(LOCK))
+    by_pip, by_uv, project = (folder / "calls").read_text().splitlines()
+    assert all("--require-hashes" in c and "--no-deps" in c for c in (by_pip, by_uv))
+    assert "/python -m pip" in by_pip and by_uv.startswith(".venv/bin/uv")
+    assert by_uv.endswith("from /wheels")  # uv is told what pip is
+    assert "--editable ." in project and "--no-deps" in project
+    assert not (folder / ".venv" / ".uv").exists()
+
+
+def test_where_uv_fails_pip_installs_the_lock_and_setup_says_so(checkout):
+    folder, run = checkout
+    (folder / "no_uv").touch()
+    done = run()
+    assert done.returncode == 0 and "uv could not install" in done.stdout, done.stderr
+    last = (folder / "calls").read_text().splitlines()[-2]
+    assert "/python -m pip" in last and "--require-hashes" in last
 
 
 def test_setup_does_only_what_is_left(checkout):
