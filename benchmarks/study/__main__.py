@@ -31,7 +31,7 @@ from benchmarks.study.methods import METHODS, methods_named
 from benchmarks.study.store import ROWS, row_file, suite_folder, suite_rows
 from benchmarks.study.tables import printed
 from benchmarks.study.together import join
-from pipeline.base.errors import run_stage
+from pipeline.base.errors import InputError, run_stage
 from pipeline.base.progress import progress
 
 
@@ -43,9 +43,11 @@ def prepare(folder: Path) -> None:
         snakemake(folder, targets, ["preset=draft", AS_CONFIGURED])
 
 
-def run(folder: Path, method: str, samples: int, rows: Path, draws: Path, about: dict) -> bool:
-    """Rows of a method on a scene, in a process of its own; whether all are there."""
-    seeds = range(samples if METHODS[method].drawn else 1)
+def run(folder: Path, method: str, seeds: range, rows: Path, draws: Path, about: dict) -> bool:
+    """Rows of a method on a scene, in a process of its own; whether all are there. A method that
+    draws nothing has one, of the first seed.
+    """
+    seeds = seeds if METHODS[method].drawn else seeds[:1]
     if all(row_file(rows, folder.name, method, seed).exists() for seed in seeds):
         return True
     command = [sys.executable, "-m", "benchmarks.study.rows", "--photos", str(folder)]
@@ -67,12 +69,21 @@ def said(args: argparse.Namespace) -> str:
     given = [scenes.said(args)]
     given += [f"--scenes {args.scenes}"] if args.scenes else []
     given += [f"--methods {args.methods}"] if args.methods else []
-    return f"python -m benchmarks.study {' '.join(given)} --samples {args.samples} --out FOLDER"
+    given += [f"--samples {args.samples}"]
+    given += [f"--first-seed {args.first_seed}"] if args.first_seed else []
+    return f"python -m benchmarks.study {' '.join(given)} --out FOLDER"
 
 
 def study(args: argparse.Namespace) -> None:
-    """Make the rows that are not there. Raises SystemExit where a method failed."""
+    """Make the rows that are not there. Raises SystemExit where a method failed, and InputError
+    where the mean of other draws than the first is asked for.
+    """
     methods = methods_named(args.methods.split(",")) if args.methods else list(METHODS)
+    means = [method for method in methods if METHODS[method].mean_of]
+    if args.first_seed and means:
+        cure = "leave it out, or name other --methods"
+        raise InputError(f"{', '.join(means)}: of the draws from 0 on", "--first-seed", cure)
+    seeds = range(args.first_seed, args.first_seed + args.samples)
     only = args.scenes.split(",") if args.scenes else None
     folders = scenes.scenes_of(args.suite, args.out / "scenes", args.given, only)
     for folder in folders:
@@ -83,7 +94,7 @@ def study(args: argparse.Namespace) -> None:
     jobs = [(folder, method) for method in methods for folder in folders]
     made = []
     for folder, method in progress(jobs, "study"):
-        made.append(run(folder, method, args.samples, rows, draws, about))
+        made.append(run(folder, method, seeds, rows, draws, about))
         join(folder, method, rows, draws, about)
     if not all(made):
         sys.exit(f"{made.count(False)} of {len(made)} methods on scenes failed")
@@ -97,6 +108,9 @@ def main() -> None:
     parser.add_argument("--scenes", help="names, with commas between; all if not given")
     parser.add_argument("--methods", help="names, with commas between; all if not given")
     parser.add_argument("--samples", type=int, default=3, help="draws of each method")
+    parser.add_argument(
+        "--first-seed", type=int, default=0, help="the draws' seeds: this and those that follow"
+    )
     parser.add_argument("--rows", type=Path, default=ROWS, help="the committed ones if not given")
     parser.add_argument("--note", default="", help="what rows say besides: other jobs, say")
     what = parser.add_mutually_exclusive_group(required=True)

@@ -8,10 +8,10 @@ import re
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from benchmarks.study import agreement_table, yardstick_tables
+from benchmarks.study import agreement_table, versions, yardstick_tables
 from benchmarks.study.front import coverage_choice, relight_choice, speed_against
 from benchmarks.study.losses import losses
-from benchmarks.study.methods import METHODS, YARDSTICKS
+from benchmarks.study.methods import METHODS, OURS, YARDSTICKS
 from benchmarks.study.store import PAIRS, ROWS, SUITE, suite_folder, suite_rows, times_beside
 from benchmarks.study.tables import (
     by_scene,
@@ -24,6 +24,7 @@ from benchmarks.study.tables import (
     scores,
     timed,
 )
+from benchmarks.study.versions import SEEDS
 from benchmarks.tables import committed
 
 
@@ -37,13 +38,19 @@ def times_source(data: dict) -> str:
     return said_of(data["times"], times_beside(ROWS))
 
 
+def seeds_source() -> str:
+    """The line below the table of further seeds."""
+    places = [path for path in sorted(SEEDS.iterdir()) if path.is_dir()]
+    return "".join(said_of(suite_rows(SUITE, place)["rows"], place) for place in places)
+
+
 def said_of(rows: list[dict], folder: Path) -> str:
     """Folder, commands, machines, commits and notes of rows."""
     said = lambda key: dict.fromkeys(row[key] for row in rows if row[key])
     # made in pieces, of some scenes each, which the rows say
     whole = lambda command: re.sub(r" --scenes [\w,]+(?= )", "", command)
     commands = ", ".join(f"`{command}`" for command in dict.fromkeys(map(whole, said("command"))))
-    place = suite_folder(Path(folder.name), rows[0]["suite"])
+    place = suite_folder(folder.relative_to(committed.RESULTS), rows[0]["suite"])
     link = f"[{place}](../benchmarks/results/{place}), a file for each row"
     made = "; ".join([commands, ", ".join(said("machine")), ", ".join(said("commit"))])
     return f"\n<sub>{link}: {made}. {' '.join(said('note'))}</sub>\n"
@@ -101,6 +108,7 @@ TABLES: dict[str, Callable[[], str]] = {
     **{name: of_study(make, SUITE) for name, make in OF_ROWS.items()},
     **{name: of_study(make, PAIRS) for name, make in OF_PAIRS.items()},
     "study_declarations": declarations,
+    "study_seeds": lambda: versions.table(OURS, "f79453a", "478deb1") + seeds_source(),
     "study_agreement": lambda: (
         agreement_table.table(committed.rows_of("study_agreement"))
         + committed.source("study_agreement")

@@ -11,7 +11,7 @@ from PIL import Image
 
 from benchmarks.figures import pyplot
 from benchmarks.study import __main__ as study
-from benchmarks.study import pages
+from benchmarks.study import pages, versions
 from benchmarks.study.agreement_table import most, table
 from benchmarks.study.charts import chart, charts
 from benchmarks.study.front import (
@@ -341,7 +341,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
         ran.append((scene, method))
         failed = method == "map"
         if not failed:
-            for seed in ("0", "1"):
+            for seed in command[command.index("--seeds") + 1 :]:
                 write_json(rows / scene / method / f"{seed}.json", {"seed": int(seed)})
         return type("Done", (), {"returncode": int(failed), "stderr": "out of luck"})
 
@@ -369,6 +369,28 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert [row["seed"] for row in found["rows"]] == [0, 1, 0, 1] and found["times"] == []
     shutil.copytree(rows.parent, tmp_path / "rows_times")
     assert suite_rows("own", rows.parent)["times"] == found["rows"]
+
+    about["command"] = about["command"].replace("--out", "--first-seed 7 --out")
+    about["command"] = about["command"].replace(f"{OURS},map", OURS)
+    command += ["--first-seed", "7"]
+    study.main()
+    seeds = [row["seed"] for row in suite_rows("own", rows.parent)["rows"]]
+    assert seeds == [0, 1, 7, 8, 0, 1, 7, 8]
+    command[2] = "preset_draft_mean"
+    with pytest.raises(InputError, match="--first-seed"):
+        study.main()
+
+
+def test_versions_are_compared_on_the_scenes_that_both_have(data):
+    """The later version's rows lack a scene."""
+    later = {"rows": [], "together": []}
+    for row in data["rows"]:
+        if row["scene"] == "b":
+            scores = row["scores"] | {"relight_psnr": row["scores"]["relight_psnr"] + 0.5}
+            later["rows"].append(row | {"scores": scores})
+    mean, low, high = versions.difference(later, data, OURS, "relight_psnr")
+    assert mean == pytest.approx(0.5) and np.isnan(low) and np.isnan(high)
+    assert set(versions.scene_means(data, OURS, "relight_psnr")) == {"a", "b"}
 
 
 def test_given_scenes_have_truth_and_a_name_of_their_own(tmp_path):
