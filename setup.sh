@@ -60,7 +60,7 @@ install_lock() {
         fail "pip could not install the packages in $first; its message says why.
   $again"
     uv --require-hashes --no-build-isolation --requirement requirements.lock || {
-        echo "uv could not install requirements.lock; its message says why. pip tries, in three times the time"
+        echo "uv could not install requirements.lock; its message says why. pip tries, which takes longer"
         pip --require-hashes --no-build-isolation --use-pep517 --requirement requirements.lock ||
             fail "pip could not either; its message says why.
   $again"
