@@ -11,7 +11,7 @@ from pathlib import Path
 from benchmarks.study import agreement_table, versions, yardstick_tables
 from benchmarks.study.front import coverage_choice, relight_choice, speed_against
 from benchmarks.study.losses import losses
-from benchmarks.study.methods import METHODS, OURS, YARDSTICKS
+from benchmarks.study.methods import METHODS, YARDSTICKS
 from benchmarks.study.store import PAIRS, ROWS, SUITE, suite_folder, suite_rows, times_beside
 from benchmarks.study.tables import (
     by_scene,
@@ -108,7 +108,7 @@ TABLES: dict[str, Callable[[], str]] = {
     **{name: of_study(make, SUITE) for name, make in OF_ROWS.items()},
     **{name: of_study(make, PAIRS) for name, make in OF_PAIRS.items()},
     "study_declarations": declarations,
-    "study_seeds": lambda: versions.table(OURS, "f79453a", "478deb1") + seeds_source(),
+    "study_seeds": lambda: versions.tables("f79453a", "478deb1") + seeds_source(),
     "study_agreement": lambda: (
         agreement_table.table(committed.rows_of("study_agreement"))
         + committed.source("study_agreement")

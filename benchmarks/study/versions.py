@@ -18,6 +18,8 @@ from benchmarks.tables.committed import RESULTS
 from pipeline.render.declared import METRICS
 
 SEEDS = RESULTS / "study_seeds"
+# methods of which there are rows of both versions at further seeds
+COMPARED = ("split_gibbs_draft", "preset_standard")
 SHOWN = ("relight_psnr", "relight_psnr_channel", "novel_view_psnr", "light_psnr_log")
 
 
@@ -57,3 +59,8 @@ def table(method: str, before: str, after: str) -> str:
         found = [difference(new, less, method, key) for key in SHOWN]
         body.append([f"today's, {further}, {name}", *(with_interval(f, 2) for f in found)])
     return pipe_table([f"`{method}`", *map(heading, SHOWN)], body)
+
+
+def tables(before: str, after: str) -> str:
+    """`table` of every method in COMPARED."""
+    return "\n".join(table(method, before, after) for method in COMPARED)
