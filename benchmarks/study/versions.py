@@ -8,6 +8,8 @@ benchmarks/results/study_seeds/<commit>/<suite> has rows of further seeds by two
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from benchmarks.markdown import number, pipe_table
@@ -38,9 +40,10 @@ def difference(data: dict, less: dict, method: str, key: str) -> tuple[float, fl
     return paired(*(np.array([means[scene] for scene in both]) for means in (ours, theirs)))
 
 
-def cells(data: dict, method: str) -> list[str]:
-    """Means over the scenes."""
-    means = [np.mean(list(scene_means(data, method, key).values())) for key in SHOWN]
+def cells(data: dict, method: str, scenes: Iterable[str]) -> list[str]:
+    """Means over these scenes."""
+    found = [scene_means(data, method, key) for key in SHOWN]
+    means = [np.mean([of_scene[scene] for scene in scenes]) for of_scene in found]
     return [number(float(mean), METRICS[key].digits) for mean, key in zip(means, SHOWN)]
 
 
@@ -48,17 +51,18 @@ def table(method: str, before: str, after: str) -> str:
     """Two versions at further seeds, the later one at the study's, and their differences."""
     old, new = (suite_rows(SUITE, SEEDS / commit) for commit in (before, after))
     study = suite_rows(SUITE)
-    seeds = seeds_in(suite_folder(SEEDS / after, SUITE) / scenes_in(new)[0] / method)
+    scenes = scene_means(new, method, SHOWN[0])
+    seeds = seeds_in(suite_folder(SEEDS / after, SUITE) / next(iter(scenes)) / method)
     further = f"seeds {seeds[0]} to {seeds[-1]}"
     body = [
-        [f"former code ({before}), {further}", *cells(old, method)],
-        [f"today's ({after}), {further}", *cells(new, method)],
-        ["today's, the study's seeds", *cells(study, method)],
+        [f"former code ({before}), {further}", *cells(old, method, scenes)],
+        [f"today's ({after}), {further}", *cells(new, method, scenes)],
+        ["today's, the study's seeds", *cells(study, method, scenes)],
     ]
     for name, less in (("less the former code", old), ("less the study's seeds", study)):
         found = [difference(new, less, method, key) for key in SHOWN]
         body.append([f"today's, {further}, {name}", *(with_interval(f, 2) for f in found)])
-    return pipe_table([f"`{method}`", *map(heading, SHOWN)], body)
+    return pipe_table([f"`{method}`, {len(scenes)} scenes", *map(heading, SHOWN)], body)
 
 
 def tables(before: str, after: str) -> str:
