@@ -17,6 +17,7 @@ from benchmarks.study.intervals import paired
 from benchmarks.study.store import SUITE, seeds_in, suite_folder, suite_rows
 from benchmarks.study.tables import heading, scene_mean, scenes_in, with_interval
 from benchmarks.tables.committed import RESULTS
+from pipeline.base.errors import InputError
 from pipeline.render.declared import METRICS
 
 SEEDS = RESULTS / "study_seeds"
@@ -40,6 +41,26 @@ def difference(data: dict, less: dict, method: str, key: str) -> tuple[float, fl
     return paired(*(np.array([means[scene] for scene in both]) for means in (ours, theirs)))
 
 
+def scenes_of_all(data: Iterable[dict], method: str) -> list[str]:
+    """Scenes that all of these have rows of by the method. Raises InputError where there are
+    none.
+    """
+    of_each = [scene_means(one, method, SHOWN[0]) for one in data]
+    scenes = [scene for scene in of_each[0] if all(scene in means for means in of_each)]
+    if not scenes:
+        raise InputError(
+            f"no scene has rows of {method} by both versions and in the study",
+            SEEDS,
+            "make them: python -m benchmarks.study --first-seed 3 --methods " + method,
+        )
+    return scenes
+
+
+def of_scenes(data: dict, scenes: list[str]) -> dict:
+    """The rows of some scenes only."""
+    return data | {"rows": [row for row in data["rows"] if row["scene"] in scenes]}
+
+
 def cells(data: dict, method: str, scenes: Iterable[str]) -> list[str]:
     """Means over these scenes."""
     found = [scene_means(data, method, key) for key in SHOWN]
@@ -48,10 +69,12 @@ def cells(data: dict, method: str, scenes: Iterable[str]) -> list[str]:
 
 
 def table(method: str, before: str, after: str) -> str:
-    """Two versions at further seeds, the later one at the study's, and their differences."""
-    old, new = (suite_rows(SUITE, SEEDS / commit) for commit in (before, after))
-    study = suite_rows(SUITE)
-    scenes = scene_means(new, method, SHOWN[0])
+    """Two versions at further seeds, the later one at the study's, and their differences, of the
+    scenes that all three have rows of. Raises InputError where there are none.
+    """
+    found = [suite_rows(SUITE, SEEDS / commit) for commit in (before, after)] + [suite_rows(SUITE)]
+    scenes = scenes_of_all(found, method)
+    old, new, study = (of_scenes(data, scenes) for data in found)
     seeds = seeds_in(suite_folder(SEEDS / after, SUITE) / next(iter(scenes)) / method)
     further = f"seeds {seeds[0]} to {seeds[-1]}"
     body = [
@@ -60,8 +83,8 @@ def table(method: str, before: str, after: str) -> str:
         ["today's, the study's seeds", *cells(study, method, scenes)],
     ]
     for name, less in (("less the former code", old), ("less the study's seeds", study)):
-        found = [difference(new, less, method, key) for key in SHOWN]
-        body.append([f"today's, {further}, {name}", *(with_interval(f, 2) for f in found)])
+        changes = [difference(new, less, method, key) for key in SHOWN]
+        body.append([f"today's, {further}, {name}", *(with_interval(c, 2) for c in changes)])
     return pipe_table([f"`{method}`, {len(scenes)} scenes", *map(heading, SHOWN)], body)
 
 

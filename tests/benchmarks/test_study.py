@@ -393,6 +393,33 @@ def test_versions_are_compared_on_the_scenes_that_both_have(data):
     assert set(versions.scene_means(data, OURS, "relight_psnr")) == {"a", "b"}
 
 
+def test_versions_are_tabulated_on_the_scenes_that_all_have(data, tmp_path, monkeypatch):
+    """The former code lacks a scene; of another method no scene has rows of both versions."""
+    monkeypatch.setattr(versions, "SEEDS", tmp_path)
+    mine = [row for row in data["rows"] if row["method"] == OURS]
+    for commit, scenes, gain in (("old", "a", 0.0), ("new", "ab", 0.25)):
+        for row in mine:
+            if row["scene"] in scenes:
+                scores = {k: v + gain for k, v in row["scores"].items()}
+                place = tmp_path / commit / "s" / row["scene"] / OURS
+                place.mkdir(parents=True, exist_ok=True)
+                seed = row["seed"] + 3
+                write_json(place / f"{seed}.json", row | {"scores": scores, "seed": seed})
+    further = versions.suite_rows
+    study = lambda suite, rows=None: further(suite, rows) if rows else data
+    monkeypatch.setattr(versions, "suite_rows", study)
+    monkeypatch.setattr(versions, "COMPARED", (OURS,))
+    lines = versions.tables("old", "new").splitlines()
+    assert lines[0].startswith(f"| `{OURS}`, 1 scenes |")
+    assert [line.split("|")[1].strip() for line in lines[2:4]] == [
+        "former code (old), seeds 3 to 4",
+        "today's (new), seeds 3 to 4",
+    ]
+    assert all(cell.strip().startswith(".25") for cell in lines[5].split("|")[2:-1])
+    with pytest.raises(InputError, match="no scene has rows of map"):
+        versions.table("map", "old", "new")
+
+
 def test_given_scenes_have_truth_and_a_name_of_their_own(tmp_path):
     truth = tmp_path / "a" / "truth" / "envmap.exr"
     with pytest.raises(InputError, match="no scenes with truth"):
