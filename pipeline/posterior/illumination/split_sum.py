@@ -86,6 +86,18 @@ def prefilters(h: int) -> torch.Tensor:
     return torch.from_numpy(np.stack([*levels, irradiance]).astype(np.float32))
 
 
+def filtered(light: torch.Tensor) -> torch.Tensor:
+    """A light (h, 2h, 3) by each of `prefilters`, (K + 1, M, 3).
+
+    As `linear` the three channels are read together, forwards and back: a fifth of the time of
+    `prefilters @ light`, whose gradient reads the filters column by column.
+    """
+    filters = prefilters(len(light))
+    channels = light.reshape(-1, 3).T.contiguous()
+    shown = torch.nn.functional.linear(channels, filters.reshape(-1, filters.shape[2]))
+    return shown.T.reshape(*filters.shape[:2], 3)
+
+
 def looked_up(values: torch.Tensor, direction: np.ndarray, h: int) -> torch.Tensor:
     """Bilinear (..., n, c) in directions (n, 3) of pixels (..., M, c)."""
     index, weight = bilinear(direction, h)
@@ -175,13 +187,13 @@ class SplitSum(Problem):
         met = Met.by(self.renderer, len(maps["roughness"]), origins, outward)
         color, metallic = met.values(maps["base_color"]), met.values(maps["metallic"])
         h = len(maps["light"])
-        filtered = prefilters(h) @ maps["light"].reshape(-1, 3)
+        shown = filtered(maps["light"])
 
-        irradiance = looked_up(filtered[-1], met.normal, h)
+        irradiance = looked_up(shown[-1], met.normal, h)
         diffuse = color * (1 - metallic) * irradiance / np.pi
         head_on = DIELECTRIC * (1 - metallic) + color * metallic
         roughness = met.values(maps["roughness"])[:, 0]
-        gloss = highlight(met, roughness, head_on, filtered[:-1], h)
+        gloss = highlight(met, roughness, head_on, shown[:-1], h)
         return met.hit[:, None] * (diffuse + gloss)
 
     def gradient(
