@@ -111,4 +111,21 @@ def atlas_photos() -> str:
     return pipe_table(head, body) + source("atlas_photos")
 
 
-TABLES = {make.__name__: make for make in (real_sets, real_sets_truth, atlas_photos)}
+def view_dependence() -> str:
+    """What any function of the reflected direction explains beyond the plain textured mesh."""
+    body = []
+    for row in committed.rows_of("view_dependence"):
+        lit = ", ".join(number(psnr, 2) for psnr in row["lit_psnr"])
+        free = row["free"]
+        gain = number(row["free_psnr"] - row["unlit_psnr"], 2)
+        figures = [number(row["unlit_psnr"], 2), number(row["free_psnr"], 2), gain, lit]
+        chosen = [number(free[key], 0) for key in ("lobes", "groups")]
+        body.append([row["scene"], *figures, *chosen, number(1 - free["left"], 2)])
+    head = ["set", "unlit dB", "with a free highlight dB", "gain dB", "lit dB, a sample each"]
+    head += ["directions", "groups of colours", "share explained of what photos left out show"]
+    return pipe_table(head, body) + source("view_dependence")
+
+
+TABLES = {
+    make.__name__: make for make in (real_sets, real_sets_truth, view_dependence, atlas_photos)
+}

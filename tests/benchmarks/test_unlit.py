@@ -5,11 +5,13 @@ import shutil
 import numpy as np
 import pytest
 
+from benchmarks import view_dependence
 from benchmarks.unlit import PhotoPixels, bake, load, picture, row, score_unlit
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json, write_json
 from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write_exr, write_png
 from pipeline.geometry.cameras import Rig, save_cameras
+from pipeline.geometry.surface import Surface
 from pipeline.posterior.textures import gather
 from pipeline.render.metrics import scored_pixels
 from pipeline.render.observe import Tracer
@@ -175,3 +177,24 @@ def test_scores_of_other_views_are_not_compared(work):
     shutil.rmtree(work / "refine" / "0")
     with pytest.raises(InputError, match="no refined sample"):
         row(work, erode=1.5)
+
+
+def test_a_free_highlight_predicts_what_moves_with_the_camera(work, ring):
+    """And adds nothing to photos in which nothing does."""
+    still = view_dependence.row(work, erode=1.5)
+    assert still["lit_psnr"] == [20.0] and set(still["views"]["free"]) == {"v0"}
+    assert still["free_psnr"] > still["unlit_psnr"] - 0.3
+
+    tracer, surface = Tracer(work / "atlas" / "mesh_uv.ply"), Surface.of(work / "atlas/mesh_uv.ply")
+    columns, rows = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
+    centres = np.stack([columns.ravel(), rows.ravel()], -1) + 0.5
+    for view in ring(8, SIZE):
+        seen, hit = view_dependence.see(tracer, surface, view, centres)
+        color = np.zeros((SIZE * SIZE, 3))
+        lobe = 0.3 * np.exp(4 * (seen.reflected @ [0, 1, 0] - 1))
+        color[hit] = srgb_to_linear(painted(seen.uv) + lobe[:, None])
+        picture = color.reshape(SIZE, SIZE, 3).astype(np.float32)
+        write_exr(work / "poses" / view.image, picture)
+    moving = view_dependence.row(work, erode=1.5)
+    assert moving["free_psnr"] > moving["unlit_psnr"] + 1
+    assert moving["free"]["left"] < 0.7
