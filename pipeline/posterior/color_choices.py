@@ -33,7 +33,7 @@ BRIGHTER = (1.0, 1.2, 1.45, 1.75, 2.1)  # factors of the light that are tried
 # part of the error that a brighter light must save: no eye sees less
 CLEAR_GAIN = 0.01
 # part of the pixels that must lie where a base colour is at its limit, before a brighter is tried
-AT_LIMIT = 0.02
+AT_LIMIT = 0.002
 
 
 def solver_for(pixels: MapPixels, shading: Shading, begin: np.ndarray) -> ColorSolver:
