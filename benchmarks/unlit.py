@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -261,9 +262,14 @@ def row(work: Path, erode: float) -> dict:
     }
 
 
-def main() -> None:
+def rows_of_scenes(
+    description: str | None, row: Callable[[Path, float], dict], unprinted: str = ""
+) -> None:
+    """The command line of a benchmark that makes a row of every finished scene, by its folder and
+    `observe.erode`: prints each, but for its key `unprinted`, and writes all to --out.
+    """
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--work", type=Path, nargs="+", required=True, metavar="work/SCENE")
     parser.add_argument(
@@ -275,9 +281,13 @@ def main() -> None:
     rows = []
     for work in args.work:
         rows.append(row(work, args.erode))
-        print(json.dumps(rows[-1]), flush=True)
+        print(json.dumps({k: v for k, v in rows[-1].items() if k != unprinted}), flush=True)
     if args.out:
         write_json(args.out, {"machine": machine(), "rows": rows})
+
+
+def main() -> None:
+    rows_of_scenes(__doc__, row)
 
 
 if __name__ == "__main__":

@@ -24,15 +24,12 @@ sample, where there are samples. All in the pixels that the samples were scored 
 
 from __future__ import annotations
 
-import argparse
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
-from benchmarks.scenes import machine
 from benchmarks.unlit import (
     OUTLIER,
     SUBPIXELS,
@@ -41,10 +38,10 @@ from benchmarks.unlit import (
     configured_side,
     lit_samples,
     picture,
+    rows_of_scenes,
 )
-from pipeline.base.config import Observe
 from pipeline.base.errors import run_stage
-from pipeline.base.files import read_json, write_json
+from pipeline.base.files import read_json
 from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear
 from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba_rays
@@ -266,6 +263,24 @@ def highlighted(
     return out
 
 
+def free_highlight(
+    seen: Seen, color: np.ndarray, photo: np.ndarray, plain: np.ndarray, side: int
+) -> tuple[Highlight, np.ndarray, dict]:
+    """The highlight that photos show beyond the texture `plain`, the texture (side, side, 3), sRGB,
+    that remains beside it, and the choice of `fitted`. color (n, 3), sRGB; photo (n,), numbers.
+    """
+    moving = color - gather(plain, seen.uv)
+    weight = seen.cosine / (1 + (np.abs(moving).mean(-1) / OUTLIER) ** 2) ** 2
+    body = bodies(srgb_to_linear(plain), seen.uv, np.random.default_rng(0))
+    some = np.random.default_rng(0).permutation(len(photo))[:FITTED]
+    highlight, choice = fitted(seen.of(some), moving[some], weight[some], photo[some], body)
+
+    parts = np.split(np.arange(len(color)), range(CHUNK, len(color), CHUNK))
+    rest = np.concatenate([color[part] - highlight.color(seen.of(part)) for part in parts])
+    texture, _ = bake(PhotoPixels(seen.uv, rest.astype(np.float32), seen.cosine), side)
+    return highlight, texture, choice
+
+
 def row(work: Path, erode: float) -> dict:
     """Scores of a finished scene. Raises InputError where a stage is missing."""
     samples = [read_json(folder / "refine.json") for folder in lit_samples(work)]
@@ -275,22 +290,10 @@ def row(work: Path, erode: float) -> dict:
     held_out = held_out_photos(problem, work / "poses", work / "mesh", erode)
     mesh = work / "atlas" / "mesh_uv.ply"
     tracer, surface = Tracer(mesh), Surface.of(mesh)
-    seen, color, photo = photo_table(observations.views, work, tracer, surface, erode)
 
+    seen, color, photo = photo_table(observations.views, work, tracer, surface, erode)
     plain, _ = bake(PhotoPixels(seen.uv, color, seen.cosine), side)
-    moving = color - gather(plain, seen.uv)
-    weight = seen.cosine / (1 + (np.abs(moving).mean(-1) / OUTLIER) ** 2) ** 2
-    body = bodies(srgb_to_linear(plain), seen.uv, np.random.default_rng(0))
-    some = np.random.default_rng(0).permutation(len(photo))[:FITTED]
-    highlight, choice = fitted(seen.of(some), moving[some], weight[some], photo[some], body)
-    rest = np.concatenate(
-        [
-            color[a : a + CHUNK]
-            - highlight.color(seen.of(np.arange(a, min(a + CHUNK, len(color)))))
-            for a in range(0, len(color), CHUNK)
-        ]
-    )
-    texture, _ = bake(PhotoPixels(seen.uv, rest.astype(np.float32), seen.cosine), side)
+    highlight, texture, choice = free_highlight(seen, color, photo, plain, side)
 
     chosen = scored_pixels(held_out, samples[0]["held_out_pixels"])
     pictures = {
@@ -316,22 +319,7 @@ def row(work: Path, erode: float) -> dict:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--work", type=Path, nargs="+", required=True, metavar="work/SCENE")
-    parser.add_argument(
-        "--erode", type=float, default=Observe().erode, help="the scene's observe.erode"
-    )
-    parser.add_argument("--out", type=Path, help="JSON file for all rows")
-    args = parser.parse_args()
-
-    rows = []
-    for work in args.work:
-        rows.append(row(work, args.erode))
-        print(json.dumps({k: v for k, v in rows[-1].items() if k != "views"}), flush=True)
-    if args.out:
-        write_json(args.out, {"machine": machine(), "rows": rows})
+    rows_of_scenes(__doc__, row, unprinted="views")
 
 
 if __name__ == "__main__":
