@@ -38,7 +38,7 @@ def at_work():
 
 scenes = Scenes(config, exclusive=at_work)
 WORK = "work/{wildcards.scene:q}"  # in shell commands; :q quotes the name
-EXPLANATION = ["light.exr", "base_color.exr", "roughness.exr", "metallic.exr"]
+EXPLANATION = ["light.exr", "base_color.exr", "roughness.exr", "metallic.exr", "ior.json"]
 
 
 def ask(function, *arguments):

@@ -28,5 +28,5 @@ def judge(problem: Problem, refined: Explanation, settings: Refine) -> LeftOut:
     shade = lambda of, on_map, x, pixels: shading_by_color(of, on_map, x, pixels, rng)
     jury = Jury(small, parts, shade, settings.shading_pixels // FEWEST, SEED)
     coarse = resize_explanation(refined, small.renderer.texture)
-    found, _ = jury.residuals(coarse)
+    found = jury.residuals(coarse)
     return LeftOut(np.concatenate([fold.judged for fold in parts]), found)

@@ -10,8 +10,9 @@ The surface begins as one dielectric of one number and climbs. Rungs, simplest f
     as drawn          both maps
 
 Some photos are left out of the base colours (left_out.py). On every rung all bodies stand at once,
-with base colours of their own from the other photos, and are judged by blocks of pixels of the
-photos left out, by the error e of a score (render/metrics.py: squared, as sRGB values):
+with base colours of their own from the other photos, solved from the same ones, and are judged by
+blocks of pixels of the photos left out, by the error e of a score (render/metrics.py: squared, as
+sRGB values):
 
     gain = sum over blocks b of g_b,    g_b = sum over pixels of b of e_simple - e_rich
 
@@ -22,6 +23,11 @@ each, it begins on the one that predicts better. Then every body leaves the surf
 down, only for one that gains as clearly on its own pixels, the number of rungs that it tries
 allowed for: materials grow from one.
 
+Where nothing clearly beats matt, the surface is tried without any highlight, too, and goes without
+if that predicts clearly better. Of roughness 1 a dielectric still mirrors 4 % of the light, widely.
+The light that real glossy things mirror is in small places instead, and where the normals are in
+error no lobe finds them: on a plastic toy no highlight is better than a wide one (docs/results.md).
+
 A body is what has one colour after the shading is divided out (split_gibbs/regions.py), so that the
 border of a material follows the stuff and not the light. e is the product of two pictures' errors
 from independent paths: the square of one would hold the path tracer's noise, which differs between
@@ -30,7 +36,7 @@ materials.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,10 +49,13 @@ from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.shading import Shading
 from pipeline.posterior.split_gibbs.regions import group, texel_regions
 from pipeline.posterior.textures import gather
-from pipeline.render.renderer import Explanation
+from pipeline.render.renderer import NO_HIGHLIGHT, Explanation
 
 CHANCE = 0.023  # of a step that is none: two standard errors of a normal
 EQUALLY_SIMPLE = 2  # rungs, the first ones
+# roughness at which the diffuse lobe is nearest to Lambert's, where there is no other lobe
+LAMBERTIAN = 0.5
+BARE = "no highlight"
 GROUPED = 20_000  # pixels whose colours are grouped into bodies
 SAME_COLOR = 0.95  # share of the colours' spread that bodies explain: one too many does no harm
 
@@ -171,22 +180,32 @@ class Jury:
         ]
         self.pixels = round(pixels * len(together) / len(parts[0].kept))
 
-    def residuals(self, x: Explanation) -> tuple[np.ndarray, Explanation]:
-        """`left_out.residuals` (2, n, 3) of the judged pixels of all folds, each under base colours
-        from its other photos; and the first fold's explanation, which begins as `x`.
-        """
+    @property
+    def block(self) -> np.ndarray:
+        """Blocks (n,) of the judged pixels of all folds."""
+        return np.concatenate([fold.block for fold in self.parts])
+
+    @property
+    def judged(self) -> np.ndarray:
+        """Their numbers (n,) among the problem's pixels."""
+        return np.concatenate([fold.judged for fold in self.parts])
+
+    def solved(self, x: Explanation) -> Iterator[Explanation]:
+        """`x` with the base colours of every fold, from its other photos."""
         begin, shading = self.shade(self.kept, self.on_map, x, self.pixels)
-        solved = [self.colored(begin, shading, fold) for fold in range(len(self.parts))]
+        return (self.colored(begin, shading, fold) for fold in range(len(self.parts)))
+
+    def residuals(self, x: Explanation) -> np.ndarray:
+        """`left_out.residuals` (2, n, 3) of the judged pixels of all folds, each `solved`."""
         of_folds = [
             residuals(self.problem, y, fold.judged, self.seed)
-            for fold, y in zip(self.parts, solved)
+            for fold, y in zip(self.parts, self.solved(x))
         ]
-        return np.concatenate(of_folds, 1), solved[0]
+        return np.concatenate(of_folds, 1)
 
-    def errors(self, x: Explanation) -> tuple[np.ndarray, Explanation]:
-        """Squared errors (n,) of these pixels, and the same explanation."""
-        found, solved = self.residuals(x)
-        return squared_error(found), solved
+    def errors(self, x: Explanation) -> np.ndarray:
+        """Squared errors (n,) of these pixels."""
+        return squared_error(self.residuals(x))
 
     def colored(self, begin: Explanation, shading: Shading, fold: int) -> Explanation:
         """`begin` with the base colour that the kept pixels of a fold show under a shading of all
@@ -212,18 +231,16 @@ def climb(
     uv = problem.observations.uv[parts[0].kept]
     matt = rungs(x, np.zeros(x.roughness.shape, int), uv)[0].put_on(x)
     jury = Jury(problem, parts, shade, pixels, renderer_seed(rng))
-    of_matt, matt = jury.errors(matt)
+    matt = next(jury.solved(matt))  # light between parts of the surface is of their colours
     body = bodies(matt.base_color, uv, rng)
     found = rungs(x, body, uv)
-    errors_of = lambda y: jury.errors(y)[0]
-    higher = [errors_of(rung.put_on(matt)) for rung in found[1:]]
-    errors = [of_matt, *higher]
+    errors = [jury.errors(rung.put_on(matt)) for rung in found]
 
-    block = np.concatenate([fold.block for fold in parts])
-    judged = np.concatenate([fold.judged for fold in parts])
-    at_judged = gather(body.astype(np.float32), problem.observations.uv[judged])[:, 0]
+    block = jury.block
+    at_judged = gather(body.astype(np.float32), problem.observations.uv[jury.judged])[:, 0]
     roughness, metallic = np.empty_like(x.roughness), np.empty_like(x.metallic)
     keeps_map = np.zeros(body.shape, bool)
+    of_chosen = np.empty_like(errors[0])
     facts = []
     surface, of_surface = climbed(errors, block)
     for b in range(int(body.max()) + 1):
@@ -232,19 +249,36 @@ def climb(
         rung, here = found[stands], body == b
         roughness[here], metallic[here] = rung.roughness[here], rung.metallic[here]
         keeps_map[here] = rung.name in ("gloss map", "as drawn")
+        of_chosen[mine] = errors[stands][mine]
         facts.append({"share": float(mine.mean()), "chosen": rung.name, "tried": tried})
 
     chosen = replace(matt, roughness=roughness, metallic=metallic)
-    return (
-        chosen,
-        keeps_map,
-        {
-            "photos_left_out": sum(fold.photos for fold in parts),
-            "folds": len(parts),
-            "blocks": len(np.unique(block)),
-            "judged_pixels": len(judged),
-            "rungs": [rung.name for rung in found],
-            "surface": {"chosen": found[surface].name, "tried": of_surface},
-            "bodies": facts,
-        },
-    )
+    evidence = {
+        "photos_left_out": sum(fold.photos for fold in parts),
+        "folds": len(parts),
+        "blocks": len(np.unique(block)),
+        "judged_pixels": len(jury.judged),
+        "rungs": [rung.name for rung in found],
+        "surface": {"chosen": found[surface].name, "tried": of_surface},
+        "bodies": facts,
+    }
+    if gloss_is_asked_for(errors, block, of_chosen):
+        return chosen, keeps_map, evidence
+
+    bare = without_highlight(matt)
+    share, error = gain(of_chosen, jury.errors(bare), block)
+    goes = share > surely(CHANCE, block) * error
+    evidence[BARE] = {"chosen": bool(goes), "gain": share, "standard_error": error}
+    return (bare if goes else chosen), keeps_map & (not goes), evidence
+
+
+def gloss_is_asked_for(errors: list[np.ndarray], block: np.ndarray, of_chosen: np.ndarray) -> bool:
+    """Whether what was chosen, with its squared errors (n,), predicts clearly better than matt."""
+    share, error = gain(errors[0], of_chosen, block)
+    return share > surely(CHANCE, block) * error
+
+
+def without_highlight(x: Explanation) -> Explanation:
+    """The explanation as a diffuse surface, nearly Lambert's."""
+    flat = lambda value: np.full(x.roughness.shape, value, np.float32)
+    return replace(x, roughness=flat(LAMBERTIAN), metallic=flat(0), ior=NO_HIGHLIGHT)

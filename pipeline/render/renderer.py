@@ -1,9 +1,8 @@
 """The forward model R(light, materials, camera): a triangle mesh with principled materials under a
 distant light.
 
-Mitsuba 3, `principled` BSDF (specular 0.5 = index of refraction 1.5, all else 0), `prb` path replay
-(Vicini et al. 2021). Pixels are drawn over all views at once and rendered as one batch of camera
-rays, no film involved.
+Mitsuba 3, `principled` BSDF (all that is not said here 0), `prb` path replay (Vicini et al. 2021).
+Pixels are drawn over all views at once and rendered as one batch of camera rays, no film involved.
 
 Shapes: origins, directions (n, 3) of camera rays; radiance (n, 3); light (h, 2h, 3) lat-long
 radiance, row 0 = +Y; base_color (t, t, 3), roughness, metallic (t, t) in [0, 1], row 0 is v = 1.
@@ -12,7 +11,7 @@ radiance, row 0 = +Y; base_color (t, t, 3), roughness, metallic (t, t) in [0, 1]
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ import drjit as dr
 import numpy as np
 
 from pipeline.base.errors import InputError
+from pipeline.base.files import read_json, write_json
 from pipeline.base.images import read_exr, write_exr
 from pipeline.base.runtime import mitsuba as mi
 from pipeline.base.runtime import mitsuba_rays
@@ -32,6 +32,8 @@ from pipeline.render.surroundings import Ground
 LIGHT = "light.data"  # Mitsuba's name of the light's pixels
 MATERIAL = "obj.bsdf."  # begins the names of the object's textures
 MAPS = ("base_color", "roughness", "metallic")
+GLASS = 1.5  # index of refraction of most dielectrics, within a tenth
+NO_HIGHLIGHT = 1.0  # of what has none
 
 # radiance (n, 3) of n pixels -> the loss, and its derivative (n, 3) in the radiance
 LossAndSlope = Callable[[np.ndarray], tuple[float, np.ndarray]]
@@ -41,26 +43,45 @@ JitteredRays = Callable[[np.random.Generator], tuple[np.ndarray, np.ndarray]]
 
 @dataclass
 class Explanation:
-    """One explanation of the photos: a light and three material maps."""
+    """One explanation of the photos: a light, three material maps, and the index of refraction
+    that the surface's highlight has where it is no metal.
+    """
 
     light: np.ndarray
     base_color: np.ndarray
     roughness: np.ndarray
     metallic: np.ndarray
+    ior: float = field(default=GLASS, kw_only=True)
 
     def save(self, folder: Path) -> None:
-        """light.exr, base_color.exr, roughness.exr, metallic.exr, 32-bit float."""
-        for part in fields(self):
-            write_exr(folder / f"{part.name}.exr", getattr(self, part.name))
+        """light.exr, base_color.exr, roughness.exr, metallic.exr, 32-bit float; ior.json."""
+        for part in ARRAYS:
+            write_exr(folder / f"{part}.exr", getattr(self, part))
+        write_json(folder / "ior.json", {"ior": self.ior})
 
     @classmethod
     def load(cls, folder: Path) -> Explanation:
-        """What `save` wrote."""
-        return cls(*(read_exr(Path(folder) / f"{part.name}.exr") for part in fields(cls)))
+        """What `save` wrote. Without ior.json, as runs before there was one have it, GLASS."""
+        folder = Path(folder)
+        ior = read_json(folder / "ior.json")["ior"] if (folder / "ior.json").exists() else GLASS
+        return cls(*(read_exr(folder / f"{part}.exr") for part in ARRAYS), ior=ior)
 
     def copy(self) -> Explanation:
         """The same values in arrays of its own."""
-        return Explanation(*(getattr(self, part.name).copy() for part in fields(self)))
+        return Explanation(*(getattr(self, part).copy() for part in ARRAYS), ior=self.ior)
+
+
+ARRAYS = ("light", *MAPS)  # of an Explanation
+
+
+def head_on(ior: float) -> float:
+    """Share of light that a dielectric reflects head-on, in air (Fresnel)."""
+    return ((ior - 1) / (ior + 1)) ** 2
+
+
+def ior_of(reflectance: float) -> float:
+    """The index of refraction of a dielectric that reflects this share of light head-on."""
+    return (1 + reflectance**0.5) / (1 - reflectance**0.5)
 
 
 @dataclass
@@ -93,7 +114,7 @@ def _scene(surface: Surface, texture: int, light_height: int, ground: Ground | N
     light = np.ones((2 * light_height + 1, 2 * light_height, 3), np.float32)  # as `to_mitsuba`
     material = {
         "type": "principled",
-        "specular": 0.5,
+        "specular": specular(GLASS),
         "base_color": _blank_texture(texture, 3),
         "roughness": _blank_texture(texture, 1),
         "metallic": _blank_texture(texture, 1),
@@ -112,16 +133,21 @@ def _scene(surface: Surface, texture: int, light_height: int, ground: Ground | N
     return mi.load_dict(parts if ground is None else parts | {"ground": ground.shape()})
 
 
+def specular(ior: float) -> float:
+    """Mitsuba's parameter of `principled`: the reflectance head-on as a share of .08."""
+    return head_on(ior) / 0.08
+
+
 def parameter_keys(names: Iterable[str]) -> dict[str, str]:
-    """Mitsuba's names of the light and of each of MAPS, among all `names` of a scene's parameters:
-    a texture is known by what it is called, whatever its material is wrapped in.
+    """Mitsuba's names of the light, of each of MAPS and of the highlight's strength, among all
+    `names` of a scene's parameters: each is known by what it is called, whatever its material is
+    wrapped in.
     """
-    names = list(names)
+    of_material = [name for name in names if name.startswith(MATERIAL)]
+    endings = {part: f".{part}.data" for part in MAPS} | {"specular": ".specular"}
     keys = {"light": LIGHT}
-    for part in MAPS:
-        (keys[part],) = (
-            name for name in names if name.startswith(MATERIAL) and name.endswith(f".{part}.data")
-        )
+    for part, ending in endings.items():
+        (keys[part],) = (name for name in of_material if name.endswith(ending))
     return keys
 
 
@@ -175,6 +201,7 @@ class Renderer:
         self.params = mi.traverse(self.lit)
         self.keys = parameter_keys(self.params.keys())
         self.params.keep(list(self.keys.values()))
+        self.ior = GLASS  # what the scene was last given
         self.integrator = mi.load_dict(
             {"type": "prb", "max_depth": max_depth, "rr_depth": 1000, "hide_emitters": True}
         )
@@ -205,6 +232,9 @@ class Renderer:
                 dr.enable_grad(leaf)
             self.params[self.keys[name]] = leaf
             leaves[name] = leaf
+        if explanation.ior != self.ior:
+            self.params[self.keys["specular"]] = mi.Float(specular(explanation.ior))
+            self.ior = explanation.ior
 
         self.params.update()
         return leaves

@@ -90,7 +90,7 @@ def why_of(body: dict, rungs: list[str]) -> str:
     taken = [step for step in body["tried"] if rungs[step["to"]] == body["chosen"]]
     best = max(body["tried"], key=lambda step: step["gain"] - 2 * step["standard_error"])
     step = taken[-1] if taken else best
-    sure = f"{100 * step['gain']:.1f} % ± {100 * step['standard_error']:.1f}"
+    sure = shares_of(step)
     if taken:
         return f"it saves {sure} of the error of {rungs[step['from']]}"
     if step["gain"] <= 0:
@@ -116,7 +116,26 @@ def gloss_choices(sample: str, found: dict) -> list[Choice]:
     for (chosen, why), shares in alike.items():
         bodies = "a body" if len(shares) == 1 else f"{len(shares)} bodies"
         out.append(Choice(f"{bodies} of it, {100 * sum(shares):.0f} %", chosen, why))
-    return out
+    return out + bare_choice(sample, found.get("no highlight"))
+
+
+def bare_choice(sample: str, tried: dict | None) -> list[Choice]:
+    """Whether a sample goes without any highlight, where that was tried."""
+    if tried is None:
+        return []
+    what, sure = f"highlight of sample {sample}", shares_of(tried)
+    if tried["chosen"]:
+        why = f"to have none saves {sure} of the error of the above"
+        return [Choice(what, "none, in place of the above", why)]
+    if tried["gain"] <= 0:
+        return [Choice(what, "as above", "without any it predicts no better")]
+    why = f"to have none would save {sure} of the error: too little to be sure"
+    return [Choice(what, "as above", why)]
+
+
+def shares_of(step: dict) -> str:
+    """The gain of a step in words, with its standard error."""
+    return f"{100 * step['gain']:.1f} % ± {100 * step['standard_error']:.1f}"
 
 
 def choices(facts: dict[str, dict]) -> list[Choice]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from pipeline.geometry.cameras import Rig, View
 from pipeline.geometry.surface import Surface
 from pipeline.render.envmap import directions, mean_radiance, resample_area
 from pipeline.render.metrics import psnr, render_pixels, render_twice
-from pipeline.render.renderer import Explanation, Renderer
+from pipeline.render.renderer import NO_HIGHLIGHT, Explanation, Renderer
 from pipeline.render.samples import Spread
 from pipeline.render.surface_texels import SurfaceTexels
 from pipeline.render.surroundings import Ground, Surroundings
@@ -60,6 +61,13 @@ def range_words(values: np.ndarray) -> str:
     """What a map's picture cannot say: the one value that it has, or that white stands for 1."""
     low, high = values.min(), values.max()
     return f"{low:.2f} everywhere" if high - low < 0.005 else "white = 1"
+
+
+def roughness_words(x: Explanation) -> str:
+    """As `range_words`, and whether there is a highlight that it is the roughness of."""
+    if x.ior == NO_HIGHLIGHT:
+        return "of no effect: no highlight"
+    return range_words(x.roughness)
 
 
 def normal_map(work: Path) -> bytes | None:
@@ -168,7 +176,7 @@ class Painter:
 
         brightness = float(mean_radiance(x.light).mean())
         evening = evening_light(x.light.shape[0]) * brightness
-        relit = Explanation(evening, x.base_color, x.roughness, x.metallic)
+        relit = replace(x, light=evening)
         other = render_pixels(self.renderer(x), relit, self.view, self.shown, spp)
 
         chart = lambda shown: encode(on_surface(shown, self.texels))
@@ -178,7 +186,7 @@ class Painter:
             "base_color": chart(to_srgb8(shrink(x.base_color))),
             "roughness": grey(x.roughness),
             "metallic": grey(x.metallic),
-            "roughness_says": range_words(x.roughness),
+            "roughness_says": roughness_words(x),
             "metallic_says": range_words(x.metallic),
             "render": encode(to_srgb8(picture)[self.box]),
             "error": encode(heat(error, 0.25)[self.box]),

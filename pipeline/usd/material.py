@@ -67,6 +67,7 @@ class Material:
 
     def dress(self, asset: Asset, prefix: str) -> None:
         """Give the surface one sample's maps and values at the current edit target."""
+        self.surface.CreateInput("ior", Kinds.Float).Set(asset.ior)
         for name, slot in SLOTS.items():
             value = getattr(asset, name)
             if isinstance(value, str):
@@ -77,7 +78,7 @@ class Material:
 
 
 def define_material(stage: Usd.Stage, root: Usd.Prim, mesh: UsdGeom.Mesh) -> Material:
-    """UsdPreviewSurface (metallic workflow, ior 1.5), bound to the mesh."""
+    """UsdPreviewSurface (metallic workflow), bound to the mesh; `Material.dress` gives it maps."""
     material = UsdShade.Material.Define(stage, root.GetPath().AppendChild("Material"))
     path = material.GetPath()
 
@@ -89,7 +90,6 @@ def define_material(stage: Usd.Stage, root: Usd.Prim, mesh: UsdGeom.Mesh) -> Mat
     surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
     surface.CreateIdAttr("UsdPreviewSurface")
     surface.CreateInput("useSpecularWorkflow", Kinds.Int).Set(0)
-    surface.CreateInput("ior", Kinds.Float).Set(1.5)
 
     out = surface.CreateOutput("surface", Kinds.Token)
     material.CreateSurfaceOutput().ConnectToSource(out.GetAttr().GetPath())

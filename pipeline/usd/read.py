@@ -85,10 +85,10 @@ def read_asset(path: Path, variant: str | None = None) -> UsdAsset:
     tile = [names.index(str(m.GetPath()) if m else "") for m in materials]
 
     merged = merge_meshes(meshes, tile, len(maps), maps, path)
-    whole, normal = tiled(maps)
+    whole, normal = tiled(maps, notes)
     light = read_light(stage, turn, path, notes)
-    explanation = Explanation(light, whole.base_color, whole.roughness, whole.metallic)
-    return UsdAsset(merged, explanation, normal, notes)
+    x = Explanation(light, whole.base_color, whole.roughness, whole.metallic, ior=whole.ior)
+    return UsdAsset(merged, x, normal, notes)
 
 
 def rendered(prim: Usd.Prim) -> bool:

@@ -16,20 +16,22 @@ from pxr import Ar, Sdf, UsdShade
 
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, srgb_to_linear
+from pipeline.render.renderer import GLASS, ior_of
 
 LARGEST = 2048  # side of a map in texels; larger ones are averaged down
 SMALLEST = 16  # side of constants
 # Values of UsdPreviewSurface where nothing is authored (its specification, version 2.6).
 DEFAULTS = {"diffuseColor": (0.18, 0.18, 0.18), "roughness": (0.5,), "metallic": (0.0,)}
 # Inputs that the renderer has not, and the value at which each does nothing.
-LEFT_OUT = {"opacity": 1.0, "clearcoat": 0.0, "emissiveColor": 0.0, "ior": 1.5, "displacement": 0.0}
+LEFT_OUT = {"opacity": 1.0, "clearcoat": 0.0, "emissiveColor": 0.0, "displacement": 0.0}
+LARGEST_IOR = ior_of(0.08)  # that the renderer's material can have
 IDENTITY = {"rotation": 0.0, "scale": 1.0, "translation": 0.0}  # of UsdTransform2d
 
 
 @dataclass
 class Maps:
     """base_color (t, t, 3), roughness and metallic (t, t), normal (t, t, 3) or None; textured:
-    whether any of them is a texture.
+    whether any of them is a texture; ior: index of refraction.
     """
 
     base_color: np.ndarray
@@ -37,6 +39,7 @@ class Maps:
     metallic: np.ndarray
     normal: np.ndarray | None
     textured: bool
+    ior: float = GLASS
 
 
 def read_maps(material: UsdShade.Material | None, path: Path, notes: list[str]) -> Maps:
@@ -76,7 +79,22 @@ def read_maps(material: UsdShade.Material | None, path: Path, notes: list[str]) 
         square["metallic"][..., 0],
         None if normal is None else resized(0.5 * normal + 0.5, side),
         max(sizes) > 1,
+        read_ior(surface, notes),
     )
+
+
+def read_ior(surface: Any, notes: list[str]) -> float:
+    """The surface's constant index of refraction; GLASS, its default, where there is none, and
+    where it is one that the renderer has not, of which a note is made.
+    """
+    given = surface.GetInput("ior") if surface else None
+    if not given or not does_something(given, GLASS):
+        return GLASS
+    value = given.Get()
+    if given.HasConnectedSource() or not 1 <= value <= LARGEST_IOR:
+        notes.append(f"ior is left out: only a number from 1 to {LARGEST_IOR:.2f} is read")
+        return GLASS
+    return float(value)
 
 
 def does_something(given: Any, idle: float) -> bool:
@@ -225,8 +243,10 @@ def read_radiance(file: Sdf.AssetPath, path: Path) -> np.ndarray:
         return read_exr(copy.name)
 
 
-def tiled(maps: list[Maps]) -> tuple[Maps, np.ndarray | None]:
-    """All materials' maps as tiles of one square, row by row from above, and their normal map."""
+def tiled(maps: list[Maps], notes: list[str]) -> tuple[Maps, np.ndarray | None]:
+    """All materials' maps as tiles of one square, row by row from above, and their normal map. They
+    get one index of refraction; `notes` gets it if it was not all of theirs.
+    """
     if len(maps) == 1:
         return maps[0], maps[0].normal
     across = int(np.ceil(np.sqrt(len(maps))))
@@ -242,5 +262,10 @@ def tiled(maps: list[Maps]) -> tuple[Maps, np.ndarray | None]:
     normal = None
     if any(m.normal is not None for m in maps):
         normal = joined([flat if m.normal is None else resized(m.normal, side) for m in maps])
-    whole = Maps(of("base_color"), of("roughness")[..., 0], of("metallic")[..., 0], normal, True)
+    ior = maps[0].ior
+    if any(m.ior != ior for m in maps):
+        notes.append(f"the materials' ior differ: all are given {ior:.2f}, the first one's")
+    whole = Maps(
+        of("base_color"), of("roughness")[..., 0], of("metallic")[..., 0], normal, True, ior
+    )
     return whole, normal

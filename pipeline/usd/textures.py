@@ -4,7 +4,7 @@ does for it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +28,8 @@ def constant_of(image: np.ndarray) -> float | None:
 @dataclass
 class Asset:
     """One sample's light and maps: file names relative to exports/, or the one value of roughness
-    or metallic where these do not vary. normal: all samples' map, or None where the surface has
-    none.
+    or metallic where these do not vary; and its index of refraction. normal: all samples' map, or
+    None where the surface has none.
     """
 
     base_color: str
@@ -37,11 +37,13 @@ class Asset:
     metallic: str | float
     light: str
     normal: str | None = None
+    ior: float = field(kw_only=True)
 
     def below(self, folder: str) -> Asset:
         """The same with file names relative to exports/<folder>/."""
         shorter = lambda value: value[len(folder) + 1 :] if isinstance(value, str) else value
-        return Asset(*(shorter(value) for value in vars(self).values()))
+        names = ("base_color", "roughness", "metallic", "light", "normal")
+        return Asset(*(shorter(getattr(self, name)) for name in names), ior=self.ior)
 
 
 def write_gloss(image: np.ndarray, folder: Path, name: str) -> str | float:
@@ -70,5 +72,6 @@ def write_textures(x: Explanation, folder: Path, relative: str, normal: str | No
         roughness=placed(x.roughness, "roughness"),
         metallic=placed(x.metallic, "metallic"),
         light=f"{relative}/light.exr",
+        ior=x.ior,
         normal=normal,
     )

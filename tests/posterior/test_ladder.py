@@ -8,7 +8,17 @@ import pytest
 
 from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
-from pipeline.posterior.ladder import CHANCE, Jury, bodies, climb, climbed, of_a_body, rungs
+from pipeline.posterior.ladder import (
+    BARE,
+    CHANCE,
+    Jury,
+    bodies,
+    climb,
+    climbed,
+    of_a_body,
+    rungs,
+    without_highlight,
+)
 from pipeline.posterior.left_out import folds, gain, residuals, squared_error, surely
 from pipeline.posterior.problem import Problem
 from pipeline.posterior.refine import refine, shading_by_color, solve_base_color, units
@@ -109,6 +119,29 @@ def test_metal_that_photos_show_stays(problem, two_bodies):
     assert (gather(simple.metallic, uv) > 0.5).mean() > 2 / 3
 
 
+@pytest.mark.parametrize("ior", [1.0, 1.5])
+def test_a_thing_has_a_highlight_where_photos_show_one(problem, two_bodies, ior):
+    """Matt and dark under a lamp, with no highlight at all and with that of a rough dielectric."""
+    truth, body = two_bodies
+    light = np.full_like(truth.light, 0.05)
+    light[len(light) // 4, 0] = 300.0
+    truth = replace(truth, light=light, base_color=0.06 * truth.base_color)
+    matt = with_gloss(truth, body, (1.0, 1.0), (0.0, 0.0))
+    shown = matt if ior == 1.5 else without_highlight(matt)
+    simple, maps, facts = found(photographed(problem, shown), matt)
+    tried = facts[BARE]
+    assert abs(tried["gain"]) > 3 * tried["standard_error"]
+    assert tried["chosen"] == (tried["gain"] > 0) == (ior == 1.0)
+    assert simple.ior == ior and not maps.any()
+
+
+def test_where_gloss_is_asked_for_none_is_not_tried(problem, two_bodies):
+    truth, body = two_bodies
+    glossy = with_gloss(truth, body, (0.15, 0.15), (0.0, 0.0))
+    simple, _, facts = found(photographed(problem, glossy), glossy)
+    assert simple.ior == 1.5 and BARE not in facts
+
+
 def test_rungs_begin_matt_and_end_as_drawn(two_bodies):
     truth, body = two_bodies
     drawn = with_gloss(truth, body, (0.5, 0.2), (0.0, 1.0))
@@ -176,17 +209,18 @@ def test_photos_that_judge_leave_no_trace_in_the_colours_that_they_judge(problem
     spoilt.observations = copy(problem.observations)
     spoilt.observations.rgb = problem.observations.rgb.copy()
     out = np.unique(problem.observations.view[parts[0].judged])
+    colors_of_first = lambda of, parts: next(jury(of, parts).solved(toy[1])).base_color
     spoilt.observations.rgb[np.isin(problem.observations.view, out)] = 0.9
-    colours = [jury(of, parts).errors(toy[1])[1].base_color for of in (problem, spoilt)]
+    colours = [colors_of_first(of, parts) for of in (problem, spoilt)]
     assert (colours[0] == colours[1]).all()
-    by_itself = [jury(of, parts[1:]).errors(toy[1])[1].base_color for of in (problem, spoilt)]
+    by_itself = [colors_of_first(of, parts[1:]) for of in (problem, spoilt)]
     assert np.abs(by_itself[0] - by_itself[1]).max() > 0.1
 
 
 def test_a_jury_says_what_every_fold_would_say_by_itself(problem, toy):
     parts = folds(problem.observations, numpy_rng(0))
-    together = jury(problem, parts).errors(toy[1])[0]
-    by_itself = np.concatenate([jury(problem, [part]).errors(toy[1])[0] for part in parts])
+    together = jury(problem, parts).errors(toy[1])
+    by_itself = np.concatenate([jury(problem, [part]).errors(toy[1]) for part in parts])
     assert len(together) == sum(len(part.judged) for part in parts)
     # paths for the colours differ, those that judge do not: what is left is the colours' noise
     assert np.abs(np.mean(together) - np.mean(by_itself)) < 0.1 * np.mean(np.abs(by_itself))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.render.observe import Tracer
-from pipeline.render.renderer import Explanation, Renderer
+from pipeline.render.renderer import NO_HIGHLIGHT, Explanation, Renderer, head_on, ior_of
 from tests.render.pictures import render_view
 from tests.seeds import numpy_rng, seeded
 
@@ -67,6 +67,39 @@ def test_a_mean_takes_every_path_of_every_pixel_once(renderer, monkeypatch, spp,
     found = renderer.mean_radiance(rays, spp, seeded(1), chunk)
     assert len(made) == spp
     assert np.allclose(found[:, 0], np.arange(pixels) + np.mean(made) / 10)
+
+
+def test_without_a_highlight_a_black_thing_is_black(renderer):
+    """Within half a percent of the highlight, which Mitsuba leaves; and it comes back."""
+    rays = rays_at_ball(2000)
+    black = explanation(metallic=0.0, roughness=0.3)
+    black = replace(black, base_color=0 * black.base_color)
+
+    def picture(x):
+        renderer.set(x)
+        return renderer.radiance(*rays, seeded(3))
+
+    glossy = picture(black)
+    assert glossy.mean() > 0.01
+    assert picture(replace(black, ior=NO_HIGHLIGHT)).mean() < 0.005 * glossy.mean()
+    assert np.array_equal(picture(black), glossy)
+
+
+@pytest.mark.parametrize("ior, reflectance", [(1.0, 0.0), (1.5, 0.04), (1.33, 0.02)])
+def test_reflectance_head_on_is_fresnels(ior, reflectance):
+    assert head_on(ior) == pytest.approx(reflectance, abs=2e-4)
+    assert ior_of(head_on(ior)) == pytest.approx(ior)
+
+
+def test_an_explanation_is_what_was_saved(tmp_path):
+    saved = replace(explanation(), ior=1.2)
+    saved.save(tmp_path)
+    loaded = Explanation.load(tmp_path)
+    assert loaded.ior == 1.2 and loaded.copy().ior == 1.2
+    for name in ("light", "base_color", "roughness", "metallic"):
+        assert np.array_equal(getattr(loaded, name), getattr(saved, name))
+    (tmp_path / "ior.json").unlink()  # as runs before there was one left it
+    assert Explanation.load(tmp_path).ior == 1.5
 
 
 def test_scaling_the_light_scales_the_picture_exactly(renderer):

@@ -20,12 +20,12 @@ from pipeline.geometry.cameras import Rig, save_cameras
 from pipeline.geometry.mesh_io import load_mesh
 from pipeline.geometry.normal_maps import write_normal_map
 from pipeline.render.draw_metrics import COMMON_ERROR, half_width, predictive_reach
-from pipeline.render.renderer import Renderer
+from pipeline.render.renderer import NO_HIGHLIGHT, Renderer
 from pipeline.render.samples import LEVEL, Spread
 from pipeline.render.stacking import LeftOut
 from pipeline.render.surface_texels import SurfaceTexels
 from pipeline.report import trust
-from pipeline.report.choices import gloss_choices
+from pipeline.report.choices import bare_choice, gloss_choices
 from pipeline.report.draws import (
     alike_words,
     color_facts,
@@ -41,6 +41,7 @@ from pipeline.report.pictures import (
     heat,
     on_surface,
     range_words,
+    roughness_words,
     spread_pictures,
     where_seen,
 )
@@ -463,6 +464,24 @@ def test_a_gloss_that_nothing_could_judge_is_said_so():
     assert found == [
         ("gloss and metal of sample 2", "maps, as drawn", "too few photos to judge them by")
     ]
+
+
+@pytest.mark.parametrize(
+    "gain, chosen, said",
+    [
+        (0.05, True, "to have none saves 5.0 % ± 1.0 of the error of the above"),
+        (0.01, False, "to have none would save 1.0 % ± 1.0 of the error: too little to be sure"),
+        (-0.1, False, "without any it predicts no better"),
+    ],
+)
+def test_a_sample_without_a_highlight_is_said_so(gain, chosen, said):
+    tried = {"gain": gain, "standard_error": 0.01, "chosen": chosen}
+    ((what, how, why),) = bare_choice("2", tried)
+    assert what == "highlight of sample 2" and why == said
+    assert how == ("none, in place of the above" if chosen else "as above")
+    assert bare_choice("2", None) == []
+    x = replace(explanation(), ior=NO_HIGHLIGHT if chosen else 1.5)
+    assert ("no highlight" in roughness_words(x)) == chosen
 
 
 def test_a_constant_map_has_its_value_in_words():

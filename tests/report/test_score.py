@@ -234,6 +234,16 @@ def test_a_texture_is_read_as_its_shader_says(scene, tmp_path):
     np.testing.assert_allclose(x.roughness, 0.5 * 102 / 255 + 0.1, atol=1e-6)
 
 
+@pytest.mark.parametrize("ior, read", [(1.0, 1.0), (1.33, 1.33), (2.4, 1.5)])
+def test_an_index_of_refraction_is_read_where_the_renderer_has_it(scene, tmp_path, ior, read):
+    stage, prim, _ = plain_stage(tmp_path / "plain.usda", scene)
+    constant_material(stage, prim, roughness=0.5, metallic=0.0, ior=ior)
+    stage.GetRootLayer().Save()
+    asset = read_asset(tmp_path / "plain.usda")
+    assert asset.explanation.ior == pytest.approx(read)
+    assert any("ior is left out" in note for note in asset.notes) == (ior != read)
+
+
 def test_what_is_not_read_is_said(scene, tmp_path):
     """Hidden meshes and inputs that the renderer has not are noted, moved textures refused."""
     stage, prim, _ = plain_stage(tmp_path / "rich.usda", scene)

@@ -7,8 +7,8 @@ from pxr import Usd, UsdShade
 
 from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr
-from pipeline.render.renderer import Explanation
-from pipeline.render.samples import mean_of
+from pipeline.render.renderer import Explanation, ior_of
+from pipeline.render.samples import Samples, mean_of
 from pipeline.render.stacking import LeftOut
 from pipeline.usd.check import check
 from pipeline.usd.read import read_asset
@@ -91,6 +91,28 @@ def test_variants_switch_light_and_every_map(exported):
     for k in range(3):
         variants.SetVariantSelection(f"sample_{k}")
         assert len(files_of(stage)) == 4 and all(f"/sample_{k}/" in f for f in files_of(stage))
+
+
+def test_a_sample_without_a_highlight_says_so_and_so_does_what_reads_it(tmp_path, ball):
+    """In its variant and in its own file; the other keeps 1.5, and the mean has the mean
+    reflectance.
+    """
+    folders = [tmp_path / "refine" / str(k) for k in range(2)]
+    for k, folder in enumerate(folders):
+        replace(varied(k), ior=(1.5, 1.0)[k]).save(folder)
+        judged(WEIGHTS[k]).save(folder)
+    out = tmp_path / "exports" / "s.usda"
+    out.parent.mkdir()
+    export(ball, folders, out, {})
+    assert check(out) == []
+    share = Samples(folders).weights[0]
+    for variant, ior in (
+        ("sample_0", 1.5),
+        ("sample_1", 1.0),
+        ("mean", ior_of(0.04 * share)),
+    ):
+        assert read_asset(out, variant).explanation.ior == pytest.approx(ior, abs=1e-4)
+    assert read_asset(out.with_suffix("") / "sample_1.usda").explanation.ior == 1.0
 
 
 def test_exports_open_elsewhere(exported, tmp_path):

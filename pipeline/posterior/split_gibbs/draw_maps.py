@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 
@@ -103,4 +101,4 @@ def explanation(
     light = decoder.light(state.code, state.log_scale)
     drawn = maps(rng, model, state, light)
     env = decoder.map(state.code, state.log_scale)
-    return replace(fit, light=env, **drawn), facts(model, state)
+    return Explanation(env, **drawn, ior=fit.ior), facts(model, state)
