@@ -23,10 +23,11 @@ each, it begins on the one that predicts better. Then every body leaves the surf
 down, only for one that gains as clearly on its own pixels, the number of rungs that it tries
 allowed for: materials grow from one.
 
-Where nothing clearly beats matt, the surface is tried without any highlight, too, and goes without
-if that predicts clearly better. Of roughness 1 a dielectric still mirrors 4 % of the light, widely.
-The light that real glossy things mirror is in small places instead, and where the normals are in
-error no lobe finds them: on a plastic toy no highlight is better than a wide one (docs/results.md).
+Where the surface's rung does not clearly beat matt, all that is no metal is tried without any
+highlight, too, and goes without if that predicts clearly better. A dielectric of roughness 1 still
+mirrors 4 % of the light, widely. What real glossy things mirror is in small places instead, and
+where normals are in error no lobe finds them: on a plastic toy no highlight is better than a wide
+one (docs/results.md).
 
 A body is what has one colour after the shading is divided out (split_gibbs/regions.py), so that the
 border of a material follows the stuff and not the light. e is the product of two pictures' errors
@@ -71,6 +72,11 @@ class Rung:
     name: str
     roughness: np.ndarray
     metallic: np.ndarray
+
+    @property
+    def metal(self) -> bool:
+        """Whether any of it is."""
+        return bool((self.metallic > 0).any())
 
     def put_on(self, x: Explanation) -> Explanation:
         return replace(x, roughness=self.roughness, metallic=self.metallic)
@@ -241,12 +247,13 @@ def climb(
     roughness, metallic = np.empty_like(x.roughness), np.empty_like(x.metallic)
     keeps_map = np.zeros(body.shape, bool)
     of_chosen = np.empty_like(errors[0])
-    facts = []
+    facts, rung_of = [], []
     surface, of_surface = climbed(errors, block)
     for b in range(int(body.max()) + 1):
         mine = at_judged.round() == b
         stands, tried = of_a_body([e[mine] for e in errors], block[mine], surface)
         rung, here = found[stands], body == b
+        rung_of.append(stands)
         roughness[here], metallic[here] = rung.roughness[here], rung.metallic[here]
         keeps_map[here] = rung.name in ("gloss map", "as drawn")
         of_chosen[mine] = errors[stands][mine]
@@ -262,23 +269,28 @@ def climb(
         "surface": {"chosen": found[surface].name, "tried": of_surface},
         "bodies": facts,
     }
-    if gloss_is_asked_for(errors, block, of_chosen):
+    if clearly_gains(errors[0], errors[surface], block):
         return chosen, keeps_map, evidence
 
-    bare = without_highlight(matt)
+    bare, is_metal = without_highlight(chosen, body, [found[k].metal for k in rung_of])
     share, error = gain(of_chosen, jury.errors(bare), block)
     goes = share > surely(CHANCE, block) * error
     evidence[BARE] = {"chosen": bool(goes), "gain": share, "standard_error": error}
-    return (bare if goes else chosen), keeps_map & (not goes), evidence
+    return (bare, keeps_map & is_metal, evidence) if goes else (chosen, keeps_map, evidence)
 
 
-def gloss_is_asked_for(errors: list[np.ndarray], block: np.ndarray, of_chosen: np.ndarray) -> bool:
-    """Whether what was chosen, with its squared errors (n,), predicts clearly better than matt."""
-    share, error = gain(errors[0], of_chosen, block)
+def clearly_gains(simple: np.ndarray, rich: np.ndarray, block: np.ndarray) -> bool:
+    """Whether the second's squared errors (n,) are clearly smaller than the first's."""
+    share, error = gain(simple, rich, block)
     return share > surely(CHANCE, block) * error
 
 
-def without_highlight(x: Explanation) -> Explanation:
-    """The explanation as a diffuse surface, nearly Lambert's."""
-    flat = lambda value: np.full(x.roughness.shape, value, np.float32)
-    return replace(x, roughness=flat(LAMBERTIAN), metallic=flat(0), ior=NO_HIGHLIGHT)
+def without_highlight(
+    x: Explanation, body: np.ndarray, metal: list[bool]
+) -> tuple[Explanation, np.ndarray]:
+    """The explanation with all bodies that have no metal diffuse, nearly Lambert's; and the texels
+    (t, t) of the others. body (t, t); metal: whether each body has some.
+    """
+    is_metal = np.array(metal)[body]
+    roughness = np.where(is_metal, x.roughness, LAMBERTIAN).astype(np.float32)
+    return replace(x, roughness=roughness, ior=NO_HIGHLIGHT), is_metal
