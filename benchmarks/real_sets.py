@@ -107,7 +107,10 @@ def figures(folder: Path, work: Path) -> dict:
 
 def failure(logs: Path) -> str:
     """Why the chain stopped: the stage whose log of `logs` is newest, and what it said last."""
-    newest = max(logs.glob("*.log"), key=lambda file: file.stat().st_mtime)
+    files = list(logs.glob("*.log"))
+    if not files:
+        return "no stage was begun: see what Snakemake said"
+    newest = max(files, key=lambda file: file.stat().st_mtime)
     lines = [line.strip() for line in newest.read_text(encoding="utf-8").splitlines()]
     said = [line for line in lines if line] or ["no word"]
     if STOPPED in said[:-1]:

@@ -157,9 +157,10 @@ def exposure_of(facts: dict) -> float | None:
     return None
 
 
-def normalise_exposure(photos: list[dict], mode: str) -> str:
-    """Fill in each photo's `gain` (divide by it) and say what was done. The logarithms of all gains
-    sum to zero: the set as a whole becomes neither brighter nor darker.
+def normalise_exposure(photos: list[dict], mode: str) -> tuple[str, bool]:
+    """Fill in each photo's `gain` (divide by it); what was done, and whether all exposures are
+    known now. The logarithms of all gains sum to zero: the set as a whole becomes neither brighter
+    nor darker.
 
     EXIF may lie: one that makes photos of one scene differ more than they do is not believed.
     """
@@ -167,13 +168,13 @@ def normalise_exposure(photos: list[dict], mode: str) -> str:
     for p in photos:
         p["gain"] = 1.0
     if mode == "none":
-        return "not asked for"
+        return "not asked for", False
 
     known = [e for e in exposures if e is not None]
     if not known:
-        return "no EXIF exposure"
+        return "no EXIF exposure", False
     if len(known) < len(photos):
-        return f"left alone: only {len(known)} of {len(photos)} photos have EXIF exposure"
+        return f"left alone: only {len(known)} of {len(photos)} photos have EXIF exposure", False
 
     middle = np.exp(np.mean(np.log(known)))
     brightness = np.array([p["brightness"] for p in photos])
@@ -183,13 +184,13 @@ def normalise_exposure(photos: list[dict], mode: str) -> str:
         return (
             f"left alone: EXIF exposure contradicts the pictures, whose brightness would differ by "
             f"{after:.1f} stops instead of {before:.1f}"
-        )
+        ), False
     for p, exposure in zip(photos, known):
         p["gain"] = float(exposure / middle)
     spread = max(known) / min(known)
     if spread < 1.001:
-        return "all photos share one exposure"
-    return f"divided out; exposures differ by a factor of {spread:.2f}"
+        return "all photos share one exposure", True
+    return f"divided out; exposures differ by a factor of {spread:.2f}", True
 
 
 def focal_guess(photo: dict) -> dict:
@@ -317,13 +318,14 @@ def capture(scene: Path, out: Path, settings: Capture) -> dict:
     for sentence in sentences:
         print(sentence, file=sys.stderr)
     masked = sum(p["has_mask"] for p in photos)
-    exposure = normalise_exposure(photos, settings.exposure)
+    exposure, known = normalise_exposure(photos, settings.exposure)
     white = white_of_scene(photos)
     divide_out(photos, out, white)
     Radiance(white).save(out)
     facts = {
         "scene": scene.name,
         "exposure": exposure,
+        "exposure_known": known,
         "left_out": dropped,
         "out_of_focus": out_of_focus,
         "photos": photos,

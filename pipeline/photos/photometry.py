@@ -27,8 +27,8 @@ from pipeline.photos.saturation import saturated
 
 DARK = 0.01  # radiance (white = 1) below which noise rules
 # Stops. Gains that spread less are left alone: shading that drifts along with the azimuth does as
-# much. Real sets whose exposure is known show up to .46 (brass; .26 where nothing is metal), and
-# up to .26 in one channel against the three's mean.
+# much. Real sets whose exposure is known show up to .64 (brass; .62 marble, .26 others), and up to
+# .26 in one channel against the three's mean.
 SAME = 0.6
 SAME_COLOUR = 0.35
 MIN_POINTS = 30  # matched points a photo needs for a gain of its own
@@ -147,15 +147,33 @@ def spread(stops: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(stops)))
 
 
-def worth_dividing(stops: np.ndarray, fit: np.ndarray | None = None) -> tuple[np.ndarray, dict]:
+def erratic(level: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """How much the gains (views,) of photos differ from that of the photo taken from nearest beside
+    them, over sqrt 2: the size of an error that each photo has for itself. What drifts as the
+    camera goes round is hardly in it. directions (views, 3): unit, from the object to the cameras.
+    """
+    nearness = directions @ directions.T
+    np.fill_diagonal(nearness, -np.inf)
+    return (level - level[nearness.argmax(1)]) / np.sqrt(2)
+
+
+def worth_dividing(
+    stops: np.ndarray, fit: np.ndarray | None = None, known_from: np.ndarray | None = None
+) -> tuple[np.ndarray, dict]:
     """The part of log2 gains (views, 3) that is more than shading does: brightness and white
     balance, each whole or not at all; and facts. fit: (views,) bool, the photos by which it is
     judged; without it all.
+
+    known_from: directions (views, 3), where the photos' exposures are known and divided out. An
+    object lit from one side is darker all the way round on the other, and gains that follow its
+    shading are no exposure's (brass: .64 stops); what is left is `erratic`.
     """
     level = stops.mean(1, keepdims=True)
     colour = stops - level
-    told = slice(None) if fit is None else fit
+    told = np.ones(len(stops), bool) if fit is None else fit
     of_level = spread(level[told])
+    if known_from is not None:
+        of_level = spread(erratic(level[told, 0], known_from[told]))
     of_colour = spread(np.abs(colour).max(1)[told])
     facts = {
         "exposure_spread_stops": of_level,
@@ -166,11 +184,14 @@ def worth_dividing(stops: np.ndarray, fit: np.ndarray | None = None) -> tuple[np
     return level * facts["exposure_matched"] + colour * facts["white_balance_matched"], facts
 
 
-def match_exposure(views: list[View], folder: Path, found: np.ndarray) -> tuple[list[View], dict]:
+def match_exposure(
+    views: list[View], folder: Path, found: np.ndarray, known_from: np.ndarray | None = None
+) -> tuple[list[View], dict]:
     """Divide the photos under `folder` by their log2 gains (views, 3) where those are
     `worth_dividing`; new views and facts.
     """
-    stops, facts = worth_dividing(found, np.array([v.split == "fit" for v in views]))
+    fit = np.array([v.split == "fit" for v in views])
+    stops, facts = worth_dividing(found, fit, known_from)
     if not stops.any():
         return views, facts
 

@@ -17,6 +17,7 @@ from pipeline.base.config import Observe, Poses
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json
 from pipeline.geometry.cameras import Rig, View, save_cameras
+from pipeline.geometry.mesh_io import unit
 from pipeline.photos.colmap_model import model_folder
 from pipeline.photos.colmap_world import given_model, reconstructed
 from pipeline.photos.given_world import ground_of_given, posed_by_file
@@ -38,11 +39,11 @@ def _photometry(
     sphere: tuple[np.ndarray, float],
     scene: Path,
     settings: Poses,
-    out_of_focus: list[str],
+    captured: dict,
 ) -> tuple[list[View], dict]:
     """What matched points say of light that moves with the camera (facts, `warnings` among them, or
     InputError), and of the photos' gains, which are divided out of the pictures under `out`. Views
-    and facts. sphere: the object's centre and radius; out_of_focus: what capture says of it.
+    and facts. sphere: the object's centre and radius; captured: what photos.json says.
     """
     brightness = point_brightness(views, out, points)
     fit = np.array([v.split == "fit" for v in views])
@@ -53,10 +54,12 @@ def _photometry(
     accept = settings.moving_light == "accept"
     facts: dict = {
         "light_motion": motion.facts(),
-        "warnings": check(motion, str(scene), accept, out_of_focus),
+        "warnings": check(motion, str(scene), accept, captured.get("out_of_focus", [])),
     }
     if settings.match_exposure:
-        views, matched = match_exposure(views, out, stops)
+        known = captured.get("exposure_known", False)  # not told by earlier versions
+        matched_to = np.stack([unit(v.position - sphere[0]) for v in views]) if known else None
+        views, matched = match_exposure(views, out, stops, matched_to)
         facts |= matched
     return views, facts
 
@@ -117,7 +120,7 @@ def make_poses(
         facts |= ground
     elif len(points["xyz"]):
         sphere = center, radius
-        views, seen = _photometry(views, out, points, sphere, scene, settings, out_of_focus)
+        views, seen = _photometry(views, out, points, sphere, scene, settings, captured)
         facts |= seen
 
     np.savez_compressed(out / "points.npz", **points)

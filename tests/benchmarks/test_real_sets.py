@@ -41,6 +41,7 @@ def test_what_is_missing_is_named(photos):
 
 
 def test_a_failed_set_says_why(tmp_path, capsys):
+    assert real_sets.failure(tmp_path).startswith("no stage was begun")
     (tmp_path / "capture.log").write_text("photos: 26/26, took 0:02\n")
     os.utime(tmp_path / "capture.log", (1, 1))
 

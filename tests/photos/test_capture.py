@@ -11,6 +11,7 @@ from PIL import Image
 
 from pipeline.base.config import Capture
 from pipeline.base.errors import InputError
+from pipeline.base.files import read_json
 from pipeline.base.images import (
     LARGEST_HALF,
     linear_to_srgb,
@@ -116,6 +117,13 @@ def test_exposure_is_divided_out(scene, tmp_path):
     a, b = (read_exr(out / "images" / f"p{k}.exr") for k in (0, 1))
     assert np.allclose(a, 2 * b, rtol=0.01, atol=1e-3) and "2.00" in metrics["exposure"]
     assert abs(np.log([p["gain"] for p in photos]).sum()) < 1e-12
+    assert read_json(out / "photos.json")["exposure_known"]
+
+
+def test_without_exif_no_exposure_is_known(scene, tmp_path):
+    out, metrics, _ = run(scene, tmp_path)
+    assert metrics["exposure"] == "no EXIF exposure"
+    assert not read_json(out / "photos.json")["exposure_known"]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from pipeline.base.images import read_exr, write_exr
-from pipeline.photos.photometry import gains, match_exposure, point_brightness, worth_dividing
+from pipeline.photos.photometry import (
+    erratic,
+    gains,
+    match_exposure,
+    point_brightness,
+    spread,
+    worth_dividing,
+)
 from pipeline.photos.readings import Readings
 from pipeline.photos.turntable import light_motion
 from tests.seeds import numpy_rng
@@ -65,6 +72,30 @@ def test_brightness_and_white_balance_are_divided_each_for_itself():
     np.testing.assert_allclose(worth_dividing(level + 0.1 * tint)[0], level, atol=1e-12)
     np.testing.assert_allclose(worth_dividing(0.1 * level + tint)[0], tint, atol=1e-12)
     np.testing.assert_allclose(worth_dividing(level + tint)[0], level + tint, atol=1e-12)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_shading_all_the_way_round_is_no_exposure_where_exposures_are_known(known):
+    """Gains of 1.4 stops either way that follow the azimuth, as a lit metal's, in photos in any
+    order; and the same gains handed out at random, which are exposures whatever EXIF says.
+    """
+    rng = numpy_rng(3)
+    azimuth = rng.permutation(np.linspace(0, 2 * np.pi, 40, endpoint=False))
+    directions = np.stack([np.cos(azimuth), 0 * azimuth, np.sin(azimuth)], 1)
+    drifting = np.repeat(1.4 * np.cos(azimuth)[:, None], 3, 1)
+    for stops, matched in ((drifting, not known), (rng.permutation(drifting), True)):
+        divided, facts = worth_dividing(stops, None, directions if known else None)
+        assert facts["exposure_matched"] == matched
+        np.testing.assert_allclose(divided, stops * matched, atol=1e-12)
+
+
+def test_a_photos_own_error_is_found_in_its_size():
+    """Beside a drift; errors of deviation .5, by many photos."""
+    rng = numpy_rng(4)
+    azimuth = np.linspace(0, 2 * np.pi, 4000, endpoint=False)
+    directions = np.stack([np.cos(azimuth), 0 * azimuth, np.sin(azimuth)], 1)
+    level = 2 * np.cos(azimuth) + 0.5 * rng.normal(size=len(azimuth))
+    assert spread(erratic(level, directions)) == pytest.approx(0.5, rel=0.06)
 
 
 @pytest.mark.parametrize("step,matched", [(0.8, True), (0.02, False)])
