@@ -244,22 +244,9 @@ def climb(
 
     block = jury.block
     at_judged = gather(body.astype(np.float32), problem.observations.uv[jury.judged])[:, 0]
-    roughness, metallic = np.empty_like(x.roughness), np.empty_like(x.metallic)
-    keeps_map = np.zeros(body.shape, bool)
-    of_chosen = np.empty_like(errors[0])
-    facts, rung_of = [], []
+    of_pixel = at_judged.round().astype(int)
     surface, of_surface = climbed(errors, block)
-    for b in range(int(body.max()) + 1):
-        mine = at_judged.round() == b
-        stands, tried = of_a_body([e[mine] for e in errors], block[mine], surface)
-        rung, here = found[stands], body == b
-        rung_of.append(stands)
-        roughness[here], metallic[here] = rung.roughness[here], rung.metallic[here]
-        keeps_map[here] = rung.name in ("gloss map", "as drawn")
-        of_chosen[mine] = errors[stands][mine]
-        facts.append({"share": float(mine.mean()), "chosen": rung.name, "tried": tried})
-
-    chosen = replace(matt, roughness=roughness, metallic=metallic)
+    rung_of, of_bodies = climbed_by_bodies(errors, block, of_pixel, int(body.max()) + 1, surface)
     evidence = {
         "photos_left_out": sum(fold.photos for fold in parts),
         "folds": len(parts),
@@ -267,16 +254,42 @@ def climb(
         "judged_pixels": len(jury.judged),
         "rungs": [rung.name for rung in found],
         "surface": {"chosen": found[surface].name, "tried": of_surface},
-        "bodies": facts,
+        "bodies": [
+            {"share": float((of_pixel == b).mean()), "chosen": found[k].name, "tried": tried}
+            for b, (k, tried) in enumerate(zip(rung_of, of_bodies))
+        ],
     }
+
+    at_texel = lambda values: np.array(values)[rung_of][body]
+    chosen = put_together(matt, found, at_texel(range(len(found))))
+    keeps_map = at_texel([rung.name in ("gloss map", "as drawn") for rung in found])
     if clearly_gains(errors[0], errors[surface], block):
         return chosen, keeps_map, evidence
 
-    bare, is_metal = without_highlight(chosen, body, [found[k].metal for k in rung_of])
+    of_chosen = np.array(errors)[np.array(rung_of)[of_pixel], np.arange(len(of_pixel))]
+    is_metal = at_texel([rung.metal for rung in found])
+    bare = without_highlight(chosen, is_metal)
     share, error = gain(of_chosen, jury.errors(bare), block)
     goes = share > surely(CHANCE, block) * error
     evidence[BARE] = {"chosen": bool(goes), "gain": share, "standard_error": error}
     return (bare, keeps_map & is_metal, evidence) if goes else (chosen, keeps_map, evidence)
+
+
+def climbed_by_bodies(
+    errors: list[np.ndarray], block: np.ndarray, of_pixel: np.ndarray, bodies: int, surface: int
+) -> tuple[list[int], list[list[dict]]]:
+    """As `of_a_body`, for each of so many: the rung it stands on and the steps that were tried.
+    of_pixel (n,): the body of every judged pixel.
+    """
+    mine = [of_pixel == b for b in range(bodies)]
+    found = [of_a_body([e[some] for e in errors], block[some], surface) for some in mine]
+    return [stands for stands, _ in found], [tried for _, tried in found]
+
+
+def put_together(x: Explanation, found: list[Rung], at_texel: np.ndarray) -> Explanation:
+    """The explanation with every texel's roughness and metallic of the rung `at_texel` (t, t)."""
+    of_rung = lambda name: np.choose(at_texel, [getattr(rung, name) for rung in found])
+    return replace(x, roughness=of_rung("roughness"), metallic=of_rung("metallic"))
 
 
 def clearly_gains(simple: np.ndarray, rich: np.ndarray, block: np.ndarray) -> bool:
@@ -285,12 +298,7 @@ def clearly_gains(simple: np.ndarray, rich: np.ndarray, block: np.ndarray) -> bo
     return share > surely(CHANCE, block) * error
 
 
-def without_highlight(
-    x: Explanation, body: np.ndarray, metal: list[bool]
-) -> tuple[Explanation, np.ndarray]:
-    """The explanation with all bodies that have no metal diffuse, nearly Lambert's; and the texels
-    (t, t) of the others. body (t, t); metal: whether each body has some.
-    """
-    is_metal = np.array(metal)[body]
+def without_highlight(x: Explanation, is_metal: np.ndarray) -> Explanation:
+    """The explanation with all that is no metal diffuse, nearly Lambert's. is_metal (t, t)."""
     roughness = np.where(is_metal, x.roughness, LAMBERTIAN).astype(np.float32)
-    return replace(x, roughness=roughness, ior=NO_HIGHLIGHT), is_metal
+    return replace(x, roughness=roughness, ior=NO_HIGHLIGHT)
