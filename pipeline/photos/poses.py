@@ -57,9 +57,10 @@ def _photometry(
         "warnings": check(motion, str(scene), accept, captured.get("out_of_focus", [])),
     }
     if settings.match_exposure:
-        known = captured.get("exposure_known", False)  # not told by earlier versions
-        matched_to = np.stack([unit(v.position - sphere[0]) for v in views]) if known else None
-        views, matched = match_exposure(views, out, stops, matched_to)
+        known_from = None
+        if captured.get("exposure_known"):  # not told by earlier versions
+            known_from = unit(np.stack([v.position - sphere[0] for v in views]))
+        views, matched = match_exposure(views, out, stops, known_from)
         facts |= matched
     return views, facts
 

@@ -34,6 +34,7 @@ class MaterialOptimizer:
         metallic move as smooth fields.
         """
         self.blurred = blurred
+        self.ior = explanation.ior  # stays
         self.values = {name: torch.from_numpy(getattr(explanation, name).copy()) for name in MAPS}
         self.bounds: dict[str, tuple[Bound, Bound]] = {
             "base_color": (0.0, ALBEDO_MAX),
@@ -68,4 +69,5 @@ class MaterialOptimizer:
         """The maps as they are, under `light`. They share memory with the parameters: the next
         step changes them.
         """
-        return Explanation(light, *(self.values[name].numpy() for name in MAPS))
+        maps = (self.values[name].numpy() for name in MAPS)
+        return Explanation(light, *maps, ior=self.ior)

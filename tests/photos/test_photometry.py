@@ -5,6 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from pipeline.base.config import Poses
 from pipeline.base.images import read_exr, write_exr
 from pipeline.photos.photometry import (
     erratic,
@@ -14,6 +15,7 @@ from pipeline.photos.photometry import (
     spread,
     worth_dividing,
 )
+from pipeline.photos.poses import _photometry
 from pipeline.photos.readings import Readings
 from pipeline.photos.turntable import light_motion
 from tests.seeds import numpy_rng
@@ -87,6 +89,25 @@ def test_shading_all_the_way_round_is_no_exposure_where_exposures_are_known(know
         divided, facts = worth_dividing(stops, None, directions if known else None)
         assert facts["exposure_matched"] == matched
         np.testing.assert_allclose(divided, stops * matched, atol=1e-12)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_photos_of_known_exposure_keep_their_brightness(ring, tmp_path, known):
+    """Through the stage: forty photos that darken by two stops as the camera goes to the back."""
+    views = ring(40, 64)
+    (tmp_path / "images").mkdir()
+    for v in views:
+        side = v.position[0] / np.linalg.norm(v.position)
+        write_exr(tmp_path / v.image, np.full((64, 64, 3), 0.2 * 2**side))
+    xyz = numpy_rng(0).uniform(-0.3, 0.3, (200, 3))
+    seen_by = np.tile(np.arange(40), 200)
+    points = {"xyz": xyz, "offsets": np.arange(0, 8001, 40), "views": seen_by}
+    sphere = np.zeros(3), 1.0
+    captured = {"exposure_known": known}
+    _, facts = _photometry(views, tmp_path, points, sphere, tmp_path, Poses(), captured)
+    assert facts["exposure_matched"] == (not known)
+    left = np.ptp([np.log2(read_exr(tmp_path / v.image).mean()) for v in views])
+    assert left > 1.5 if known else left < 0.1
 
 
 def test_a_photos_own_error_is_found_in_its_size():

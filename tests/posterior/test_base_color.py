@@ -1,5 +1,6 @@
 """The base colour from given shading: robust means, and how sharp they may be."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -372,6 +373,8 @@ def test_gloss_stays_near_the_draw():
     for _ in range(60):
         materials.step(up)
     assert np.allclose(materials.values["roughness"].numpy(), 0.09)
+    bare = MaterialOptimizer(replace(drawn, ior=1.0), 0.1, roughness_min=0.09)
+    assert bare.explanation(drawn.light).ior == 1.0
 
 
 def test_shading_of_a_dielectric_is_shared_between_photos_and_of_a_metal_is_not(truth):
