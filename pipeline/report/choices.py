@@ -127,10 +127,7 @@ def bare_choice(sample: str, tried: dict | None) -> list[Choice]:
     if tried["chosen"]:
         why = f"to have none saves {sure} of the error of the above"
         return [Choice(what, "none, in place of the above", why)]
-    if tried["gain"] <= 0:
-        return [Choice(what, "as above", "without any it predicts no better")]
-    why = f"to have none would save {sure} of the error: too little to be sure"
-    return [Choice(what, "as above", why)]
+    return [Choice(what, "as above", "without any it predicts no better")]
 
 
 def shares_of(step: dict) -> str:
