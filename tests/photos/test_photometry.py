@@ -110,6 +110,18 @@ def test_photos_of_known_exposure_keep_their_brightness(ring, tmp_path, known):
     assert left > 1.5 if known else left < 0.1
 
 
+def test_sessions_in_another_daylight_are_matched_though_exposures_are_known():
+    """Two rounds of twenty photos, a stop apart, around a thing that is lit from one side."""
+    azimuth = np.tile(np.linspace(0, 2 * np.pi, 20, endpoint=False), 2)
+    azimuth[20:] += 0.05
+    directions = np.stack([np.cos(azimuth), 0 * azimuth, np.sin(azimuth)], 1)
+    level = 0.4 * np.cos(azimuth) + np.repeat([-0.5, 0.5], 20)
+    stops = np.repeat(level[:, None], 3, 1)
+    divided, facts = worth_dividing(stops, None, directions)
+    assert facts["exposure_matched"]
+    np.testing.assert_allclose(divided, stops, atol=1e-12)
+
+
 def test_a_photos_own_error_is_found_in_its_size():
     """Beside a drift; errors of deviation .5, by many photos."""
     rng = numpy_rng(4)
