@@ -6,8 +6,10 @@ Planes swept through the object's sphere (Collins 1996) against the one plane of
 the homography that it induces (Hartley and Zisserman, Multiple View Geometry, 13.1). A pixel on
 bare ground matches best on the ground whatever shadow lies there, and one of the object matches
 better elsewhere or, where it is glossy, nowhere. Where nothing can be matched, on blank paper,
-both costs are the same and the pixel says nothing. Rays that pass the ground beside the object may
-end at a wall or a hedge: for them what lies behind the object's sphere stands for the ground.
+both costs are the same and the pixel says nothing. Blank paper may also be brighter in one photo
+than in the next; where a blank window matches at no depth, hue alone is held against the ground.
+Rays that pass the ground beside the object may end at a wall or a hedge: for them what lies behind
+the object's sphere stands for the ground.
 
 Letters: K (3, 3) intrinsics, R (3, 3) and t (3,) from the reference camera to another one, n unit
 normal (3,) and d distance of a plane n.x = d in the reference camera's frame.
@@ -33,6 +35,7 @@ UNMATCHED = 0.6  # cost at and above which two places do not look alike
 VICINITY = 1.5  # sphere radii from the object within which the ground is taken for certain
 GAIN = 8.0  # log-odds per unit of cost
 WINDOW = 7  # pixels
+NOISE = 4.0  # variance of lightness in a window from which on it shows a pattern
 
 
 @dataclass
@@ -104,21 +107,24 @@ class Matcher:
         motion = other.world_to_camera @ np.linalg.inv(view.world_to_camera)
         return small, other.at_size(*size).K, motion[:3, :3], motion[:3, 3]
 
-    def cost(self, n: np.ndarray, d: float) -> np.ndarray:
+    def cost(self, n: np.ndarray, d: float, brightness: bool = True) -> np.ndarray:
         """Cost (h, w) of the plane n.x = d: mean over the two neighbours that match best, so that
-        one may be hidden; infinite where fewer than two look.
+        one may be hidden; infinite where fewer than two look. brightness: whether places that are
+        not equally bright look unlike.
         """
         best = np.full(self.lab.shape[:2], np.inf, np.float32)
         second = best.copy()
         for photo, K, R, t in self.others:
             homography = K @ (R + np.outer(t, n) / d) @ self.inverse
-            found = self._compare(photo, homography)
+            found = self._compare(photo, homography, 0.5 if brightness else 0.0)
             second = np.minimum(second, np.maximum(best, found))
             best = np.minimum(best, found)
         return 0.5 * (best + second)
 
-    def _compare(self, photo: np.ndarray, homography: np.ndarray) -> np.ndarray:
-        """1 - NCC of lightness (halved) plus the mean colour difference, infinite off the photo."""
+    def _compare(self, photo: np.ndarray, homography: np.ndarray, weight: float) -> np.ndarray:
+        """1 - NCC of lightness (halved) plus the mean colour difference, in which lightness has
+        that weight; infinite off the photo.
+        """
         height, width = self.lab.shape[:2]
         shift = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # OpenCV's centres are integers
         carried = cv2.warpPerspective(
@@ -132,10 +138,10 @@ class Matcher:
         mean = _mean(lightness)
         variance = np.maximum(_mean(lightness * lightness) - mean * mean, 0)
         covariance = _mean(self.lab[..., 0] * lightness) - self.mean * mean
-        # two lightness levels of noise: blank windows correlate with nothing
-        ncc = covariance / np.sqrt((self.variance + 4) * (variance + 4))
+        # blank windows correlate with nothing
+        ncc = covariance / np.sqrt((self.variance + NOISE) * (variance + NOISE))
 
-        difference = cv2.transform(cv2.absdiff(self.lab, carried), np.array([[0.5, 1, 1]]))
+        difference = cv2.transform(cv2.absdiff(self.lab, carried), np.array([[weight, 1, 1]]))
         colour = _mean(np.minimum(difference, 25), 5) / 25
         out = 0.5 * (1 - ncc) + colour
         out[lightness < -5] = np.inf
@@ -166,6 +172,9 @@ def ground_or_above(rig: Rig, k: int, labs: dict[str, np.ndarray], height: float
         ground = np.where(passing, np.minimum(np.minimum(ground, far), UNMATCHED), ground)
 
     above = _least_cost_above(matcher, view, rig, height)
+    unmatched = (matcher.variance < NOISE) & (above >= UNMATCHED)
+    by_hue = np.minimum(ground, _ground_cost(matcher, view, height, brightness=False))
+    ground = np.where(unmatched, by_hue, ground)
     odds = np.clip(GAIN * (ground - np.minimum(above, UNMATCHED)), -3, 3)
     odds = cv2.blur(np.where(np.isfinite(ground), odds, 0).astype(np.float32), (3, 3))
 
@@ -182,12 +191,14 @@ def _rays(matcher: Matcher, view: View) -> np.ndarray:
     return in_camera @ view.world_to_camera[:3, :3]
 
 
-def _ground_cost(matcher: Matcher, view: View, height: float) -> np.ndarray:
+def _ground_cost(
+    matcher: Matcher, view: View, height: float, brightness: bool = True
+) -> np.ndarray:
     """Cost (h, w) of the ground, infinite where the ray does not meet it or too few photos see
-    it.
+    it. brightness: as Matcher.cost has it.
     """
     n = view.world_to_camera[:3, 1]
-    cost = matcher.cost(n, height + float(n @ view.world_to_camera[:3, 3]))
+    cost = matcher.cost(n, height + float(n @ view.world_to_camera[:3, 3]), brightness)
     return np.where(_rays(matcher, view)[..., 1] < -1e-3, cost, np.inf).astype(np.float32)
 
 

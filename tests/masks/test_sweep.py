@@ -1,6 +1,7 @@
 import numpy as np
 
-from pipeline.masks.ground import to_lab, working_size
+from pipeline.masks.cut import grow
+from pipeline.masks.ground import sphere_region, to_lab, working_size
 from pipeline.masks.sweep import ground_or_above, neighbours
 from tests.masks.conftest import GROUND, PAINTS
 
@@ -27,6 +28,17 @@ def test_blank_ground_says_nothing(make_table):
     odds = ground_or_above(rig, 9, labs_of(folder, rig, 9), GROUND)
     far = ~ball[rig.views[9].name]
     assert np.median(np.abs(odds[far])) < 0.5
+
+
+def test_blank_ground_that_is_brighter_in_one_photo_is_not_taken_for_the_object(make_table):
+    folder, rig, (ball,) = make_table([BALL], blank=True)
+    name = rig.views[9].name
+    labs = labs_of(folder, rig, 9)
+    labs[name] = labs[name] + np.array([22, 0, 0], np.float32)
+    odds = ground_or_above(rig, 9, labs, GROUND)
+    bare = sphere_region(rig.views[9], rig, ball[name].shape[::-1]) & ~grow(ball[name], 4)
+    assert (odds[bare] > 1).mean() < 0.1
+    assert (odds[ball[name]] > 0.5).mean() > 0.9
 
 
 def test_a_view_without_neighbours_says_nothing(make_table):
