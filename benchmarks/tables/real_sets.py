@@ -126,6 +126,23 @@ def view_dependence() -> str:
     return pipe_table(head, body) + source("view_dependence")
 
 
+def viewer() -> str:
+    """What UsdPreviewSurface shows of the samples, by the numbers that assets carry and others."""
+    body = []
+    for row in committed.rows_of("viewer"):
+        samples = row["samples"]
+        figures = [
+            ", ".join(number(sample[key], 2) for sample in samples)
+            for key in ("renderer", "exported", "unchanged")
+        ]
+        clipped = max(sample["clipped"] for sample in samples)
+        body.append([row["scene"], *figures, f"{clipped:.1%}"])
+    head = ["set", "renderer's model dB, a sample each", "UsdPreviewSurface, as exported dB"]
+    head += ["by the renderer's numbers dB", "base colours too bright for it, at most"]
+    return pipe_table(head, body) + source("viewer")
+
+
 TABLES = {
-    make.__name__: make for make in (real_sets, real_sets_truth, view_dependence, atlas_photos)
+    make.__name__: make
+    for make in (real_sets, real_sets_truth, view_dependence, viewer, atlas_photos)
 }

@@ -50,12 +50,10 @@ from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.posterior.shading import Shading
 from pipeline.posterior.split_gibbs.regions import group, texel_regions
 from pipeline.posterior.textures import gather
-from pipeline.render.renderer import NO_HIGHLIGHT, Explanation
+from pipeline.render.renderer import LAMBERTIAN, NO_HIGHLIGHT, Explanation
 
 CHANCE = 0.023  # of a step that is none: two standard errors of a normal
 EQUALLY_SIMPLE = 2  # rungs, the first ones
-# roughness at which the diffuse lobe is nearest to Lambert's, where there is no other lobe
-LAMBERTIAN = 0.5
 BARE = "no highlight"
 GROUPED = 20_000  # pixels whose colours are grouped into bodies
 SAME_COLOR = 0.95  # share of the colours' spread that bodies explain: one too many does no harm

@@ -16,17 +16,18 @@ import drjit as dr
 import numpy as np
 
 from pipeline.base.runtime import mitsuba as mi
+from pipeline.render.renderer import GLASS, specular
 
 LOBES = ("diffuse", "dielectric", "metal white", "metal black")  # A, S, M1, M0
 ALBEDO_SAMPLES = 1 << 16  # of a lobe's albedo: good to .3 %
 
 
-def principled_bsdf(metallic: float, color: float, roughness: float) -> Any:
+def principled_bsdf(metallic: float, color: float, roughness: float, ior: float = GLASS) -> Any:
     """Mitsuba's BSDF of one grey material; the renderer's with constant maps."""
     return mi.load_dict(
         {
             "type": "principled",
-            "specular": 0.5,
+            "specular": specular(ior),
             "base_color": {"type": "rgb", "value": color},
             "metallic": metallic,
             "roughness": roughness,
@@ -35,15 +36,16 @@ def principled_bsdf(metallic: float, color: float, roughness: float) -> Any:
 
 
 class PrincipledLobes:
-    """The four lobes at one roughness, times the cosine, for directions in the local frame.
+    """The four lobes at one roughness and index of refraction, times the cosine, for directions in
+    the local frame.
 
     Every method takes a Mitsuba surface interaction `si` of which only the local incident direction
     is read, and local outgoing directions `wo`; a lane is one pair of them.
     """
 
-    def __init__(self, roughness: float):
-        self.white = principled_bsdf(0.0, 1.0, roughness)
-        self.black = principled_bsdf(0.0, 0.0, roughness)
+    def __init__(self, roughness: float, ior: float = GLASS):
+        self.white = principled_bsdf(0.0, 1.0, roughness, ior)
+        self.black = principled_bsdf(0.0, 0.0, roughness, ior)
         self.white_metal = principled_bsdf(1.0, 1.0, roughness)
         self.black_metal = principled_bsdf(1.0, 0.0, roughness)
         self.context = mi.BSDFContext()
@@ -84,12 +86,12 @@ def blurred_roughness(roughness: np.ndarray, sigma: np.ndarray) -> np.ndarray:
 
 
 @lru_cache
-def lobe_albedo(roughness: float) -> np.ndarray:
+def lobe_albedo(roughness: float, ior: float = GLASS) -> np.ndarray:
     """Share of uniform light that each lobe reflects (4,): f cos over both hemispheres' cosines, by
     the balance heuristic between directions of the diffuse lobe and of the highlight. A rough metal
     has no more than .4, for what its facets reflect twice is not in the BSDF.
     """
-    lobes = PrincipledLobes(roughness)
+    lobes = PrincipledLobes(roughness, ior)
     rng = np.random.default_rng(0)
     si = dr.zeros(mi.SurfaceInteraction3f, ALBEDO_SAMPLES)
     si.wi = cosine_directions(ALBEDO_SAMPLES, rng)

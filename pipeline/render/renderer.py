@@ -29,11 +29,14 @@ from pipeline.render.envmap import mitsuba_gradient, to_mitsuba
 from pipeline.render.shading_normals import with_normal_map
 from pipeline.render.surroundings import Ground
 
+BSDF = "principled"  # Mitsuba's name of the material's model
 LIGHT = "light.data"  # Mitsuba's name of the light's pixels
 MATERIAL = "obj.bsdf."  # begins the names of the object's textures
 MAPS = ("base_color", "roughness", "metallic")
 GLASS = 1.5  # index of refraction of most dielectrics, within a tenth
 NO_HIGHLIGHT = 1.0  # of what has none
+# roughness at which the diffuse lobe is nearest to Lambert's, where there is no other lobe
+LAMBERTIAN = 0.5
 
 # radiance (n, 3) of n pixels -> the loss, and its derivative (n, 3) in the radiance
 LossAndSlope = Callable[[np.ndarray], tuple[float, np.ndarray]]
@@ -113,7 +116,7 @@ def _scene(surface: Surface, texture: int, light_height: int, ground: Ground | N
     """
     light = np.ones((2 * light_height + 1, 2 * light_height, 3), np.float32)  # as `to_mitsuba`
     material = {
-        "type": "principled",
+        "type": BSDF,
         "specular": specular(GLASS),
         "base_color": _blank_texture(texture, 3),
         "roughness": _blank_texture(texture, 1),

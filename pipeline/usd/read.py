@@ -20,6 +20,7 @@ from pipeline.geometry.mesh_io import Mesh, unit, vertex_normals
 from pipeline.render.envmap import check_lat_long, directions, uv_from_direction
 from pipeline.render.light_grid import bilinear
 from pipeline.render.renderer import Explanation
+from pipeline.usd.preview_surface import from_preview_surface
 from pipeline.usd.read_maps import Maps, read_maps, read_radiance, tiled
 
 CONSTANT_ROWS = 32  # of a light that is one colour
@@ -28,8 +29,9 @@ OUTSIDE = 1e-3  # how far texture coordinates may lie outside of [0, 1]
 
 @dataclass
 class UsdAsset:
-    """mesh: with uv; explanation: light and square maps of one size; normal: the normal map's
-    values (t, t, 3) in [0, 1], or None; notes: what was assumed.
+    """mesh: with uv; explanation: light and square maps of one size, with the numbers by which the
+    renderer shows that UsdPreviewSurface (preview_surface.py); normal: the normal map's values
+    (t, t, 3) in [0, 1], or None; notes: what was assumed.
     """
 
     mesh: Mesh
@@ -88,7 +90,7 @@ def read_asset(path: Path, variant: str | None = None) -> UsdAsset:
     whole, normal = tiled(maps, notes)
     light = read_light(stage, turn, path, notes)
     x = Explanation(light, whole.base_color, whole.roughness, whole.metallic, ior=whole.ior)
-    return UsdAsset(merged, x, normal, notes)
+    return UsdAsset(merged, from_preview_surface(x), normal, notes)
 
 
 def rendered(prim: Usd.Prim) -> bool:

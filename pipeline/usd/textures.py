@@ -56,8 +56,9 @@ def write_gloss(image: np.ndarray, folder: Path, name: str) -> str | float:
 
 
 def write_textures(x: Explanation, folder: Path, relative: str, normal: str | None = None) -> Asset:
-    """8-bit PNG maps (base colour sRGB, others raw; none for one value) and a float EXR light;
-    `normal`: the normal map's file name, which all samples share.
+    """8-bit PNG maps (base colour sRGB, others raw; none for one value) and a float EXR light. x:
+    with the numbers of a UsdPreviewSurface (preview_surface.py); `normal`: the normal map's file
+    name, which all samples share.
     """
     folder.mkdir(parents=True)
     write_png(folder / "base_color.png", np.round(linear_to_srgb(x.base_color) * 255))

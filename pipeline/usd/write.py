@@ -29,6 +29,7 @@ from pipeline.render.renderer import Explanation
 from pipeline.render.samples import MEAN, Samples, mean_of
 from pipeline.usd.check import check
 from pipeline.usd.material import define_material
+from pipeline.usd.preview_surface import for_preview_surface
 from pipeline.usd.textures import Asset, write_textures
 
 GAUGE = (
@@ -161,8 +162,9 @@ def variants_from(samples: Samples) -> Iterator[tuple[str, Explanation]]:
 
 def build(
     folder: Path, scene: str, surface: Surface, samples: Samples, facts: dict, white: float
-) -> str:
-    """Write <scene>.usda and <scene>/ into `folder`; returns the variant that is selected.
+) -> tuple[str, dict[str, float]]:
+    """Write <scene>.usda and <scene>/ into `folder`; returns the variant that is selected, and for
+    each the share of its base colours that no UsdPreviewSurface is bright enough for.
     RuntimeError when a file does not pass the validators.
     """
     name = Tf.MakeValidIdentifier(scene)
@@ -174,10 +176,10 @@ def build(
         shutil.copy(surface.normal_map, inside / surface.normal_map.name)
         normal = f"{scene}/{surface.normal_map.name}"
 
-    assets = {
-        variant: write_textures(in_unit(x, white), inside / variant, f"{scene}/{variant}", normal)
-        for variant, x in variants_from(samples)
-    }
+    assets, clipped = {}, {}
+    for variant, x in variants_from(samples):
+        shown, clipped[variant] = for_preview_surface(in_unit(x, white))
+        assets[variant] = write_textures(shown, inside / variant, f"{scene}/{variant}", normal)
     for variant, asset in assets.items():
         own = facts | {"sample": variant}
         if variant != MEAN:
@@ -190,7 +192,7 @@ def build(
     problems = [p for f in files for p in check(f)]
     if problems:
         raise RuntimeError("the export does not pass the USD validators:\n" + "\n".join(problems))
-    return next(iter(assets))
+    return next(iter(assets)), clipped
 
 
 def package(folder: Path, scene: str, variant: str) -> str | None:
@@ -241,7 +243,7 @@ def export(atlas: Path, samples: list[Path], out: Path, facts: dict, white: floa
     surface = Surface.of(atlas / "mesh_uv.ply")
     with staging(out) as folder:
         facts = facts | {"samples": len(samples)}
-        shown = build(folder, out.stem, surface, Samples(samples), facts, white)
+        shown, clipped = build(folder, out.stem, surface, Samples(samples), facts, white)
         unpacked = package(folder, out.stem, shown)
         publish(folder, out)
 
@@ -250,6 +252,7 @@ def export(atlas: Path, samples: list[Path], out: Path, facts: dict, white: floa
         "samples": len(samples),
         "weights": Samples(samples).weights.tolist(),
         "problems": [],
+        "clipped_base_color": clipped,
         "usdz": unpacked is None,
         "mib": round(size, 2),
     }

@@ -5,16 +5,18 @@ import shutil
 import numpy as np
 import pytest
 
-from benchmarks import view_dependence
+from benchmarks import view_dependence, viewer
 from benchmarks.unlit import PhotoPixels, bake, load, picture, row, score_unlit
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json, write_json
 from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write_exr, write_png
 from pipeline.geometry.cameras import Rig, save_cameras
 from pipeline.geometry.surface import Surface
+from pipeline.posterior.choose.chosen import Chosen
 from pipeline.posterior.textures import gather
-from pipeline.render.metrics import scored_pixels
+from pipeline.render.metrics import render_pixels, scored_pixels
 from pipeline.render.observe import Tracer
+from pipeline.render.renderer import Explanation, Renderer
 from tests.seeds import numpy_rng
 
 SIZE = 48  # of the photos
@@ -198,3 +200,21 @@ def test_a_free_highlight_predicts_what_moves_with_the_camera(work, ring):
     moving = view_dependence.row(work, erode=1.5)
     assert moving["free_psnr"] > moving["unlit_psnr"] + 1
     assert moving["free"]["left"] < 0.7
+
+
+def test_a_viewer_shows_what_an_asset_carries_better_than_the_renderers_numbers(work):
+    """Photos of the renderer's own, of a dielectric that is rough."""
+    flat = lambda value: np.full((TEXELS, TEXELS), value, np.float32)
+    color = np.full((TEXELS, TEXELS, 3), 0.5, np.float32)
+    x = Explanation(np.ones((8, 16, 3), np.float32), color, flat(1.0), flat(0.0))
+    x.save(work / "refine" / "0")
+    Chosen({"render": {"max_depth": 2}}).save(work / "choose")
+    held_out, *_ = load(work, 1.5)
+    view, photo, mask = held_out[0]
+    made = Renderer(work / "atlas" / "mesh_uv.ply", TEXELS, 8, 2)
+    picture = render_pixels(made, x, view, mask, 64)
+    write_exr(work / "poses" / "images" / "v0.exr", picture)
+
+    (sample,) = viewer.row(work, erode=1.5)["samples"]
+    assert min(sample["renderer"], sample["exported"]) > sample["unchanged"] + 2
+    assert sample["clipped"] == 0

@@ -11,6 +11,7 @@ from pipeline.render.renderer import Explanation, ior_of
 from pipeline.render.samples import Samples, mean_of
 from pipeline.render.stacking import LeftOut
 from pipeline.usd.check import check
+from pipeline.usd.preview_surface import for_preview_surface
 from pipeline.usd.read import read_asset
 from pipeline.usd.write import export
 from tests.render.test_renderer import explanation
@@ -159,7 +160,10 @@ def test_base_colour_is_stored_as_srgb(exported):
 
     _, out, samples = exported
     stored = np.asarray(Image.open(out.with_suffix("") / "sample_0" / "base_color.png")) / 255
-    assert np.allclose(srgb_to_linear(stored), read_exr(samples[0] / "base_color.exr"), atol=0.01)
+    shown, _ = for_preview_surface(Explanation.load(samples[0]))
+    assert np.allclose(srgb_to_linear(stored), shown.base_color, atol=0.01)
+    read = read_asset(out, "sample_0").explanation.base_color
+    assert np.allclose(read, read_exr(samples[0] / "base_color.exr"), atol=0.01)
 
 
 def test_a_failing_export_leaves_the_old_one(exported, ball, monkeypatch):
