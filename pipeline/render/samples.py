@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.base.images import linear_to_srgb, luminance
 from pipeline.render.draw_metrics import COMMON_ERROR, half_width
-from pipeline.render.renderer import Explanation, head_on, ior_of
+from pipeline.render.renderer import GLASS, Explanation, head_on, ior_of
 from pipeline.render.stacking import LeftOut, weights
 from pipeline.render.surface_texels import SurfaceTexels
 
@@ -94,9 +94,10 @@ class Spread:
 
 
 def mean_of(samples: Sequence[Explanation], weight: np.ndarray) -> Explanation | None:
-    """The posterior mean, as far as the samples tell: means of radiance, linear base colour,
-    roughness and the reflectance head-on, and of metallic weighted by base colour, in which every
-    sample counts `weight` (N,), 1 together (`Samples.weights`). None for a single sample.
+    """The posterior mean, as far as the samples tell: means of radiance, linear base colour and the
+    reflectance head-on, of roughness weighted by what a sample mirrors, and of metallic weighted by
+    base colour. Every sample counts `weight` (N,), 1 together (`Samples.weights`). None for a
+    single sample.
 
     Of all light and maps it has the least expected squared error. It explains no photo by itself,
     as every sample does, but where samples differ its errors are the smaller ones (docs/method.md).
@@ -110,19 +111,24 @@ def mean_of(samples: Sequence[Explanation], weight: np.ndarray) -> Explanation |
         tuple(np.float32(share) * part for part in _averaged(x))
         for x, share in zip(samples, weight, strict=True)
     )
-    light, color, roughness, of_metal, metal, reflectance = _sum(counted)
+    light, color, of_gloss, gloss, of_metal, metal, reflectance = _sum(counted)
     ior = round(ior_of(float(reflectance[0])), 4)  # what samples have in common stays what it is
-    return Explanation(light, color, roughness, metal / of_metal, ior=ior)
+    return Explanation(light, color, gloss / of_gloss, metal / of_metal, ior=ior)
 
 
 def _averaged(x: Explanation) -> Parts:
-    """What `mean_of` sums: light, base colour, roughness, metallic's weight and that times it, and
-    the reflectance head-on.
+    """What `mean_of` sums: light, base colour, of roughness and metallic each its weight and that
+    times it, and the reflectance head-on. Roughness counts by what is mirrored: without a
+    highlight it means nothing.
     """
+    mirrors = head_on(x.ior) / head_on(GLASS)
+    metal = cv2.resize(x.metallic, x.roughness.shape[::-1], interpolation=cv2.INTER_AREA)
+    shiny = mirrors * (1 - metal) + metal + np.float32(DARKEST)
     bright = luminance(x.base_color).astype(np.float32)
     weight = cv2.resize(bright, x.metallic.shape[::-1], interpolation=cv2.INTER_AREA) + DARKEST
     reflectance = np.array([head_on(x.ior)])
-    return x.light, x.base_color, x.roughness, weight, weight * x.metallic, reflectance
+    gloss = shiny, shiny * x.roughness
+    return x.light, x.base_color, *gloss, weight, weight * x.metallic, reflectance
 
 
 def _compared(x: Explanation) -> Parts:

@@ -3,9 +3,9 @@
 The exported material has the roughness and metallic of the renderer's, and its highlight, but not
 its diffuse lobe. UsdPreviewSurface (its specification, version 2.6, and the shader that comes with
 OpenUSD) takes what a dielectric mirrors off what it scatters, and has Lambert's lobe and not
-Disney's, whose brightness hangs on roughness: the same numbers are shown 4 to 10 % darker. So the
-base colour a' that is exported of a dielectric is the one that reflects as much of an even light as
-the renderer's a does:
+Disney's, which brightens with roughness: the same numbers are shown darker, by 2 % at roughness .2
+and 10 % at 1. So the base colour a' that is exported of a dielectric is the one that reflects as
+much of an even light as the renderer's a does:
 
     A a + S = D a' + G
 

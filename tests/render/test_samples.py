@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.render.renderer import NO_HIGHLIGHT
 from pipeline.render.samples import mean_of
 from tests.render.test_renderer import explanation
 
@@ -61,3 +62,12 @@ def test_light_and_roughness_are_weighted_means():
     np.testing.assert_allclose(mean.light, expected, rtol=1e-5)
     np.testing.assert_allclose(mean.roughness, 0.5, rtol=1e-5)
     assert mean.light.dtype == np.float32
+
+
+def test_the_roughness_of_a_sample_without_a_highlight_counts_only_on_its_metal():
+    shiny, bare = sample(0.5, 0.0, 0.9), replace(sample(0.5, 0.0, 0.3), ior=NO_HIGHLIGHT)
+    half = np.full(2, 0.5)
+    np.testing.assert_allclose(mean_of([shiny, bare], half).roughness, 0.9, atol=1e-3)
+    np.testing.assert_allclose(mean_of([bare, bare], half).roughness, 0.3, atol=1e-6)
+    metal = replace(bare, metallic=np.ones_like(bare.metallic))
+    np.testing.assert_allclose(mean_of([shiny, metal], half).roughness, 0.6, atol=1e-3)
