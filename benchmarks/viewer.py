@@ -3,11 +3,12 @@ UsdPreviewSurface, in place of the renderer's own.
 
 python -m benchmarks.viewer --work work/brass_head work/banana [--out rows.json]
 
-A row: `scene`, and of every refined sample `renderer`, its dB by the renderer's model; `exported`,
-those of UsdPreviewSurface (benchmarks/preview_bsdf.py) with the numbers that an asset carries
+A row: `scene`, and of every refined sample, and of their `mean`, with which an asset opens:
+`renderer`, its dB by the renderer's model; `exported`, those of UsdPreviewSurface
+(benchmarks/preview_bsdf.py) with the numbers that an asset carries
 (pipeline/usd/preview_surface.py); `unchanged`, with the renderer's numbers as they are, which
 assets carried before; `clipped`, the share of base colours that no UsdPreviewSurface is bright
-enough for. All in the pixels that the sample's stage scored. Viewers differ: this is the
+enough for. All in the pixels that the first sample's stage scored. Viewers differ: this is the
 specification's, path traced.
 """
 
@@ -25,21 +26,23 @@ from pipeline.posterior.choose.chosen import Chosen
 from pipeline.render.metrics import held_out_photos, score_held_out
 from pipeline.render.observe import Observations
 from pipeline.render.renderer import Explanation, Renderer
+from pipeline.render.samples import FEWEST, Samples, mean_of
 from pipeline.usd.preview_surface import for_preview_surface
 
 
 def row(work: Path, erode: float) -> dict:
-    return {
-        "scene": work.name,
-        "samples": [of_sample(work, folder, erode) for folder in lit_samples(work)],
-    }
+    folders = lit_samples(work)
+    samples = Samples(folders)
+    pixels = read_json(folders[0] / "refine.json")["held_out_pixels"]
+    figures = lambda x: compared(work, x, erode, pixels)
+    found = {"scene": work.name, "samples": [figures(x) for x in samples]}
+    mean = mean_of(samples, samples.weights) if len(samples) >= FEWEST else None
+    return found | ({} if mean is None else {"mean": figures(mean)})
 
 
-def of_sample(work: Path, folder: Path, erode: float) -> dict:
-    """Figures of one refined sample."""
-    x = Explanation.load(folder)
+def compared(work: Path, x: Explanation, erode: float, pixels: int) -> dict:
+    """Figures of one explanation, from so many pixels of all held-out photos together."""
     shown, clipped = for_preview_surface(x)
-    pixels = read_json(folder / "refine.json")["held_out_pixels"]
     score = lambda y: scored(work, y, erode, pixels)
     found = {"renderer": score(x)}
     with shown_as_preview():

@@ -130,14 +130,14 @@ def viewer() -> str:
     """What UsdPreviewSurface shows of the samples, by the numbers that assets carry and others."""
     body = []
     for row in committed.rows_of("viewer"):
-        samples = row["samples"]
+        shown = [*row["samples"], row["mean"]]
         figures = [
-            ", ".join(number(sample[key], 2) for sample in samples)
+            ", ".join(number(one[key], 2) for one in shown)
             for key in ("renderer", "exported", "unchanged")
         ]
-        clipped = max(sample["clipped"] for sample in samples)
+        clipped = max(one["clipped"] for one in shown)
         body.append([row["scene"], *figures, f"{clipped:.1%}"])
-    head = ["set", "renderer's model dB, a sample each", "UsdPreviewSurface, as exported dB"]
+    head = ["set", "renderer's model dB: samples, mean", "UsdPreviewSurface, as exported dB"]
     head += ["by the renderer's numbers dB", "base colours too bright for it, at most"]
     return pipe_table(head, body) + source("viewer")
 

@@ -35,7 +35,22 @@ def test_a_dielectric_reflects_as_much_of_an_even_light(roughness):
 
 def test_a_metal_keeps_its_colour():
     shown, _ = for_preview_surface(material(metallic=1.0))
-    np.testing.assert_array_equal(shown.base_color, material().base_color)
+    np.testing.assert_allclose(shown.base_color, material().base_color, rtol=1e-5)
+
+
+@pytest.mark.parametrize("metallic, decided", [(0.45, 0.0), (0.55, 1.0)])
+def test_what_is_half_a_metal_is_one_or_none_and_reflects_as_much(metallic, decided):
+    """Viewers disagree about what lies between."""
+    shown, _ = for_preview_surface(material(0.4, 0.5, metallic))
+    assert (shown.metallic == decided).all()
+    diffuse, highlight, metal, edge = lobe_albedo(0.5)
+    reflected = (1 - metallic) * (0.4 * diffuse + highlight) + metallic * (0.4 * metal + 0.6 * edge)
+    color = shown.base_color[0, 0, 0]
+    if decided:
+        assert color * metal + (1 - color) * edge == pytest.approx(reflected, rel=1e-3)
+    else:
+        preview_diffuse, preview_highlight = preview_albedo(0.5, 1.5)
+        assert color * preview_diffuse + preview_highlight == pytest.approx(reflected, rel=1e-3)
 
 
 def test_without_a_highlight_roughness_is_1_and_the_colour_nearly_the_same():
