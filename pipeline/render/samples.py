@@ -25,6 +25,8 @@ FEWEST = 2  # samples that say anything of spread
 LEVEL = 0.8  # share of the true values that an interval is meant to hold
 HARD = 0.9  # quantile of the texels that is said beside the median
 DARKEST = 1e-4  # radiance, or luminance of base colours, below which all is black
+DIM = 0.02  # base colour, below which the differences of samples are no matter of their light
+AGREED = 1e-3  # weight of the samples that take a texel for another stuff, that is for none
 
 Parts = tuple[np.ndarray, ...]
 
@@ -94,16 +96,16 @@ class Spread:
 
 
 def mean_of(samples: Sequence[Explanation], weight: np.ndarray) -> Explanation | None:
-    """The posterior mean, as far as the samples tell: means of radiance, linear base colour and the
-    reflectance head-on, of roughness weighted by what a sample mirrors, and of metallic weighted by
-    base colour. Every sample counts `weight` (N,), 1 together (`Samples.weights`). None for a
-    single sample.
+    """The posterior mean, as far as the samples tell, in which every sample counts `weight` (N,), 1
+    together (`Samples.weights`): means of radiance and of the reflectance head-on, of roughness
+    weighted by what a sample mirrors, of base colours by `_mean_color`, and of metallic weighted by
+    base colour. None for a single sample.
 
-    Of all light and maps it has the least expected squared error. It explains no photo by itself,
-    as every sample does, but where samples differ its errors are the smaller ones (docs/method.md).
-    A surface of base colour a and metallic m reflects (1 - m) a diffusely and about m a in its
-    highlights: with metallic sum(m a) / sum(a) both are the samples' means. The plain mean of m
-    is too diffuse, for what is taken for a metal is taken for the brighter in base colour.
+    It explains no photo by itself, as every sample does, but where samples differ its errors are
+    the smaller ones (docs/method.md). A surface of base colour a and metallic m reflects (1 - m) a
+    diffusely and about m a in its highlights: with linear means of a and metallic sum(m a) / sum(a)
+    both are the samples' means. The plain mean of m is too diffuse, for what is taken for a metal
+    is taken for the brighter in base colour.
     """
     if len(samples) < FEWEST:
         return None
@@ -111,15 +113,33 @@ def mean_of(samples: Sequence[Explanation], weight: np.ndarray) -> Explanation |
         tuple(np.float32(share) * part for part in _averaged(x))
         for x, share in zip(samples, weight, strict=True)
     )
-    light, color, of_gloss, gloss, of_metal, metal, reflectance = _sum(counted)
+    light, color, log_color, is_metal, of_gloss, gloss, of_metal, metal, reflectance = _sum(counted)
     ior = round(ior_of(float(reflectance[0])), 4)  # what samples have in common stays what it is
+    color = _mean_color(color, log_color, is_metal)
     return Explanation(light, color, gloss / of_gloss, metal / of_metal, ior=ior)
 
 
+def _mean_color(color: np.ndarray, log_color: np.ndarray, is_metal: np.ndarray) -> np.ndarray:
+    """Base colours (t, t, 3) from their linear means, those of the log of what `_averaged` has of
+    them, and the share of the samples (s, s) that take a texel for metal.
+
+    A photo shows base colour times light, so that where one sample has the brighter light it has
+    the darker paint, and linear means of both are too bright together: their harmonic mean would be
+    right for a matt surface under the mean light, the linear one under another light. The geometric
+    mean lies between. Only where samples agree about metal, for else bright paint is not the other
+    side of a dim light.
+    """
+    size = color.shape[1::-1]
+    share = cv2.resize(is_metal, size, interpolation=cv2.INTER_NEAREST)[..., None]
+    agree = np.minimum(share, 1 - share) < AGREED
+    geometric = np.maximum(np.exp(log_color) - DIM, 0)
+    return np.where(agree, geometric, color).astype(np.float32)
+
+
 def _averaged(x: Explanation) -> Parts:
-    """What `mean_of` sums: light, base colour, of roughness and metallic each its weight and that
-    times it, and the reflectance head-on. Roughness counts by what is mirrored: without a
-    highlight it means nothing.
+    """What `mean_of` sums: light, base colour, the log of that and DIM, whether it is metal, of
+    roughness and metallic each its weight and that times it, and the reflectance head-on. Roughness
+    counts by what is mirrored: without a highlight it means nothing.
     """
     mirrors = head_on(x.ior) / head_on(GLASS)
     metal = cv2.resize(x.metallic, x.roughness.shape[::-1], interpolation=cv2.INTER_AREA)
@@ -127,8 +147,9 @@ def _averaged(x: Explanation) -> Parts:
     bright = luminance(x.base_color).astype(np.float32)
     weight = cv2.resize(bright, x.metallic.shape[::-1], interpolation=cv2.INTER_AREA) + DARKEST
     reflectance = np.array([head_on(x.ior)])
-    gloss = shiny, shiny * x.roughness
-    return x.light, x.base_color, *gloss, weight, weight * x.metallic, reflectance
+    is_metal = (x.metallic >= 0.5).astype(np.float32)
+    colors = x.base_color, np.log(x.base_color + np.float32(DIM)), is_metal
+    return x.light, *colors, shiny, shiny * x.roughness, weight, weight * x.metallic, reflectance
 
 
 def _compared(x: Explanation) -> Parts:

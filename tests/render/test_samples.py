@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -27,11 +28,10 @@ def test_one_sample_has_no_mean():
     assert mean_of([explanation()], np.ones(1)) is None
 
 
-@given(st.lists(st.tuples(COLOR, SHARE, WEIGHT), min_size=2, max_size=4))
-def test_it_is_as_diffuse_as_the_samples_in_the_mean(parts):
-    """(1 - metallic) base colour, and metallic times base colour, are their weighted means; so are
-    all other parts.
-    """
+@given(st.lists(st.tuples(COLOR, SHARE, WEIGHT), min_size=1, max_size=3))
+def test_where_samples_disagree_about_metal_it_is_as_diffuse_as_they_are_in_the_mean(parts):
+    """(1 - metallic) base colour, and metallic times base colour, are their weighted means."""
+    parts = [*parts, (0.5, 0.0, 0.5), (0.5, 1.0, 0.5)]
     color, metallic, weight = np.array(parts).T
     weight = weight / weight.sum()
     mean = mean_of([sample(color, metallic) for color, metallic, _ in parts], weight)
@@ -40,6 +40,17 @@ def test_it_is_as_diffuse_as_the_samples_in_the_mean(parts):
     a, m = mean.base_color[0, 0, 0], mean.metallic[0, 0]
     np.testing.assert_allclose((1 - m) * a, weight @ ((1 - metallic) * color), **close)
     np.testing.assert_allclose(m * a, weight @ (metallic * color), **close)
+
+
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+def test_where_they_agree_it_lies_between_what_is_right_under_its_light_and_under_another(metallic):
+    """A photo shows colour times light: .2 under 3 is .6 under 1. Under the light's mean, 2, it is
+    .3, the harmonic mean; under another light .4 errs least, the linear one.
+    """
+    mean = mean_of([sample(0.2, metallic), sample(0.6, metallic)], np.full(2, 0.5))
+    assert 0.3 < mean.base_color[0, 0, 0] < 0.4
+    same = mean_of([sample(0.6, metallic), sample(0.6, metallic)], np.full(2, 0.5))
+    np.testing.assert_allclose(same.base_color, 0.6, atol=1e-5)
 
 
 @given(SHARE, COLOR, COLOR)
