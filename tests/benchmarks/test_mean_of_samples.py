@@ -29,8 +29,8 @@ def test_samples_are_read_in_order_and_their_mean_comes_last(tmp_path):
     assert len(samples) == 11
     for k, x in enumerate(samples):
         np.testing.assert_allclose(x.base_color, explanation(16, 8, seed=k).base_color)
-    expected = np.mean([x.base_color for x in samples], 0)
-    np.testing.assert_allclose(mean.base_color, expected, rtol=1e-5)
+    expected = np.mean([x.light for x in samples], 0)
+    np.testing.assert_allclose(mean.light, expected, rtol=1e-5)
 
 
 def test_one_sample_has_no_mean_and_the_message_says_so(tmp_path):
