@@ -14,6 +14,7 @@ specification's, path traced.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -34,15 +35,15 @@ def row(work: Path, erode: float) -> dict:
     folders = lit_samples(work)
     samples = Samples(folders)
     pixels = read_json(folders[0] / "refine.json")["held_out_pixels"]
-    figures = lambda x: compared(work, x, erode, pixels)
+    figures = partial(compared, work, erode=erode, pixels=pixels)
     found = {"scene": work.name, "samples": [figures(x) for x in samples]}
     mean = mean_of(samples, samples.weights) if len(samples) >= FEWEST else None
-    return found | ({} if mean is None else {"mean": figures(mean)})
+    return found | ({} if mean is None else {"mean": figures(mean, decide=True)})
 
 
-def compared(work: Path, x: Explanation, erode: float, pixels: int) -> dict:
+def compared(work: Path, x: Explanation, erode: float, pixels: int, decide: bool = False) -> dict:
     """Figures of one explanation, from so many pixels of all held-out photos together."""
-    shown, clipped = for_preview_surface(x)
+    shown, clipped = for_preview_surface(x, decide)
     score = lambda y: scored(work, y, erode, pixels)
     found = {"renderer": score(x)}
     with shown_as_preview():

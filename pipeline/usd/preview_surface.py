@@ -7,17 +7,18 @@ brightens with roughness: the same numbers are shown darker, by 2 % at roughness
 
 And viewers disagree about a metallic between 0 and 1. The renderer, and MaterialX's graph of
 UsdPreviewSurface, mix what a metal and a dielectric reflect; OpenUSD's shader also mixes the
-metal's tint with white, and mirrors several times as much. In the mean of samples that disagree
-about a metal that was 2 and 4 dB of held-out photos. So every exported texel is a metal or is none.
+metal's tint with white, and mirrors several times as much where base colours are dark. In the mean
+of samples that disagree about a metal that was 2 and 4 dB of held-out photos. So there every texel
+is made a metal or none. A sample's metallic is exported as it is.
 
-Its base colour a' is the one that reflects as much of an even light as the renderer's a does:
+A base colour a' is exported that reflects as much of an even light as the renderer's a does:
 
-    (1 - m) (A a + S) + m (M1 a + M0 (1 - a))  =  D a' + G,  or  M1 a' + M0 (1 - a') of a metal
+    (1 - m) (A a + S) + m (M1 a + M0 (1 - a))  =  (1 - m') (D a' + G) + m' (M1 a' + M0 (1 - a'))
 
-for metallic m; A, S, M1 and M0 are the albedos of the renderer's lobes (principled_lobes.py), D and
-G those of UsdPreviewSurface. A metal keeps its base colour by that: seen from the front both models
-reflect the same, and what Mitsuba's has more at grazing angles must not lift the rest. How either
-falls off with the angle stays the viewer's own.
+for metallic m and, as exported, m'; A, S, M1 and M0 are the albedos of the renderer's lobes
+(principled_lobes.py), D and G those of UsdPreviewSurface. A metal keeps its base colour by that:
+seen from the front both models reflect the same, and what Mitsuba's has more at grazing angles must
+not lift the rest. How either falls off with the angle stays the viewer's own.
 
 Without a highlight (index of refraction 1) UsdPreviewSurface still mirrors at grazing angles, by
 Schlick's formula, whatever its workflow; least at roughness 1, which such an asset gets.
@@ -63,31 +64,32 @@ def preview_albedo(roughness: float, ior: float) -> np.ndarray:
     return np.array([np.array(lobe).mean() for lobe in (diffuse, highlight)])
 
 
-def for_preview_surface(x: Explanation) -> tuple[Explanation, float]:
+def for_preview_surface(x: Explanation, decide: bool = False) -> tuple[Explanation, float]:
     """The explanation with the numbers of a UsdPreviewSurface that shows it, and the share of its
-    base colours' values that ended at 1 because none as bright would do.
+    base colours' values that ended at 1 because none as bright would do. decide: make every texel
+    a metal or none.
     """
     diffuse, highlight, metal, edge, preview_diffuse, preview_highlight = _albedos(x, x.roughness)
     metallic = _at_color(x, x.metallic)
     of_dielectric = diffuse * x.base_color + highlight
     reflected = (1 - metallic) * of_dielectric + metallic * (metal * x.base_color + edge)
 
-    is_metal = (x.metallic >= 0.5).astype(np.float32)
-    decided = _at_color(x, is_metal)  # between 0 and 1 at a metal's rim, in a viewer too
+    shown_metallic = (x.metallic >= 0.5).astype(np.float32) if decide else x.metallic
+    decided = _at_color(x, shown_metallic)  # between 0 and 1 at a metal's rim, in a viewer too
     of_black = (1 - decided) * preview_highlight + decided * edge
     color = (reflected - of_black) / ((1 - decided) * preview_diffuse + decided * metal)
     shown = replace(
         x,
         base_color=np.clip(color, 0, 1).astype(np.float32),
         roughness=_where_bare(x, 1.0),
-        metallic=is_metal,
+        metallic=shown_metallic,
     )
     return shown, float((color > 1).mean())
 
 
 def from_preview_surface(x: Explanation) -> Explanation:
-    """The renderer's numbers for those of a UsdPreviewSurface: `for_preview_surface` undone, where
-    that had no metallic to settle. One between 0 and 1 mixes what either reflects.
+    """The renderer's numbers for those of a UsdPreviewSurface: `for_preview_surface` undone, as far
+    as that decided nothing. A metallic between 0 and 1 mixes what either reflects.
     """
     roughness = _where_bare(x, LAMBERTIAN)
     diffuse, highlight, metal, _, preview_diffuse, preview_highlight = _albedos(x, roughness)

@@ -178,7 +178,7 @@ def build(
 
     assets, clipped = {}, {}
     for variant, x in variants_from(samples):
-        shown, clipped[variant] = for_preview_surface(in_unit(x, white))
+        shown, clipped[variant] = for_preview_surface(in_unit(x, white), decide=variant == MEAN)
         assets[variant] = write_textures(shown, inside / variant, f"{scene}/{variant}", normal)
     for variant, asset in assets.items():
         own = facts | {"sample": variant}

@@ -40,8 +40,10 @@ def test_a_metal_keeps_its_colour():
 
 @pytest.mark.parametrize("metallic, decided", [(0.45, 0.0), (0.55, 1.0)])
 def test_what_is_half_a_metal_is_one_or_none_and_reflects_as_much(metallic, decided):
-    """Viewers disagree about what lies between."""
-    shown, _ = for_preview_surface(material(0.4, 0.5, metallic))
+    """Where that is asked for, for viewers disagree about what lies between."""
+    kept, _ = for_preview_surface(material(0.4, 0.5, metallic))
+    assert (kept.metallic == np.float32(metallic)).all()
+    shown, _ = for_preview_surface(material(0.4, 0.5, metallic), decide=True)
     assert (shown.metallic == decided).all()
     diffuse, highlight, metal, edge = lobe_albedo(0.5)
     reflected = (1 - metallic) * (0.4 * diffuse + highlight) + metallic * (0.4 * metal + 0.6 * edge)
@@ -70,7 +72,8 @@ def test_what_is_read_back_is_what_was_written(ior):
     x = material(ior=ior)
     color = rng.uniform(0.02, 0.8, (64, 64, 3)).astype(np.float32)
     roughness = np.full_like(gloss[0], LAMBERTIAN) if ior == 1 else gloss[0]
-    x = replace(x, base_color=color, roughness=roughness, metallic=(gloss[1] > 0.5) * np.float32(1))
+    metallic = np.round(gloss[1]) if ior == 1 else gloss[1]
+    x = replace(x, base_color=color, roughness=roughness, metallic=metallic)
     shown, clipped = for_preview_surface(x)
     back = from_preview_surface(shown)
     assert clipped == 0
