@@ -350,12 +350,21 @@ def resize_explanation(
     explanation: Explanation, texture: int, gloss: int | None = None
 ) -> Explanation:
     """The same maps at another texture size; roughness and metallic of side `gloss`, none: as the
-    base colour.
+    base colour. A metallic of metal and none stays one, whose borders lie where they did.
     """
     side = gloss or texture
     return replace(
         explanation,
         base_color=resized(explanation.base_color, texture),
         roughness=resized(explanation.roughness, side),
-        metallic=resized(explanation.metallic, side),
+        metallic=resized_metallic(explanation.metallic, side),
     )
+
+
+def resized_metallic(metallic: np.ndarray, side: int) -> np.ndarray:
+    """Metallic (t, t) at another size: 0 or 1 by what most of a texel is, where it is so
+    everywhere.
+    """
+    new = resized(metallic, side)
+    decided = np.isin(metallic, (0, 1)).all()
+    return (new > 0.5).astype(metallic.dtype) if decided else new

@@ -9,7 +9,7 @@ And viewers disagree about a metallic between 0 and 1. The renderer, and Materia
 UsdPreviewSurface, mix what a metal and a dielectric reflect; OpenUSD's shader also mixes the
 metal's tint with white, and mirrors several times as much where base colours are dark. In the mean
 of samples that disagree about a metal that was 2 and 4 dB of held-out photos. So there every texel
-is made a metal or none. A sample's metallic is exported as it is.
+is made a metal or none. A sample of `split_gibbs` is so anyway; others' are exported as they are.
 
 A base colour a' is exported that reflects as much of an even light as the renderer's a does:
 

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from pipeline.render.observe import Tracer
-from pipeline.render.renderer import NO_HIGHLIGHT, Explanation, Renderer, head_on, ior_of
+from pipeline.render.renderer import (
+    NO_HIGHLIGHT,
+    Explanation,
+    Renderer,
+    head_on,
+    ior_of,
+    resized_metallic,
+)
 from tests.render.pictures import render_view
 from tests.seeds import numpy_rng, seeded
 
@@ -100,6 +107,18 @@ def test_an_explanation_is_what_was_saved(tmp_path):
         assert np.array_equal(getattr(loaded, name), getattr(saved, name))
     (tmp_path / "ior.json").unlink()  # as runs before there was one left it
     assert Explanation.load(tmp_path).ior == 1.5
+
+
+def test_metal_stays_metal_at_another_size():
+    """A disc keeps its area, larger and smaller; a metallic between 0 and 1 runs over."""
+    at = np.stack(np.mgrid[:48, :48], -1) + 0.5
+    disc = (((at - 24) ** 2).sum(-1) < 15**2).astype(np.float32)
+    for side in (16, 192):
+        found = resized_metallic(disc, side)
+        assert found.dtype == np.float32 and set(np.unique(found)) == {0.0, 1.0}
+        assert abs(found.mean() - disc.mean()) < 0.02
+        soft = resized_metallic(0.9 * disc, side)
+        assert ((soft > 0.01) & (soft < 0.89)).any()
 
 
 def test_scaling_the_light_scales_the_picture_exactly(renderer):

@@ -17,13 +17,13 @@ from scipy.special import logsumexp
 from pipeline.posterior.split_gibbs.lobes import BETWEEN
 
 # what `offsets` may hold, per row: steps of roughness from the region's, and whether a point's
-# metallic is the region's, half, or the other kind's
-OFFSETS = BETWEEN * np.arange(-3, 4), np.arange(3)
-AS_REGION, HALF, OTHER = range(3)
+# metallic is the region's or the other kind's
+OFFSETS = BETWEEN * np.arange(-3, 4), np.arange(2)
+AS_REGION, OTHER = range(2)
 # log odds of every label for a point by itself
-ALONE = -1.0 * np.abs(np.arange(-3, 4)), np.array([0.0, -4.0, -2.5])
+ALONE = -1.0 * np.abs(np.arange(-3, 4)), np.array([0.0, -2.5])
 # log odds that a neighbour of the same colour adds for each label of it
-FAVOUR = -0.7 * np.abs(np.subtract.outer(np.arange(7), np.arange(7))), 1.0 * np.eye(3)
+FAVOUR = -0.7 * np.abs(np.subtract.outer(np.arange(7), np.arange(7))), 1.0 * np.eye(2)
 # of the nearest points, and how far log colours may lie apart (`regions.features`)
 NEAREST, ALIKE = 5, 0.25
 

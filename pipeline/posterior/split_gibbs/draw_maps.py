@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from pipeline.posterior.split_gibbs.coherence import OFFSETS
 from pipeline.posterior.split_gibbs.likelihood import RowLikelihood, point_materials
 from pipeline.posterior.split_gibbs.setup import Model
 from pipeline.posterior.split_gibbs.state import Randomness, State
@@ -35,8 +34,7 @@ def maps(rng: Randomness, model: Model, state: State, light: np.ndarray) -> dict
     for r in range(len(state.materials)):
         mine, here = data.row_region == r, model.region_map == r
         of_rows = data.rows.point[mine]
-        labels = state.offsets[1][of_rows]
-        found = region_maps(model.uv[mine], roughness[of_rows], metallic[of_rows], labels, size)
+        found = region_maps(model.uv[mine], roughness[of_rows], metallic[of_rows], size)
         for name, value in zip(out, found):
             out[name][here] = value[here]
     out["base_color"] = np.clip(base_color, 0, 1)
@@ -44,21 +42,14 @@ def maps(rng: Randomness, model: Model, state: State, light: np.ndarray) -> dict
 
 
 def region_maps(
-    uv: np.ndarray, roughness: np.ndarray, metallic: np.ndarray, label: np.ndarray, size: int
+    uv: np.ndarray, roughness: np.ndarray, metallic: np.ndarray, size: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Roughness and metallic (size, size) of one region from its rows (n,) at uv (n, 2): roughness
-    as their local mean, in its log; metallic as that of the label (`coherence.OFFSETS`) that most
-    of them have there, for a surface is of one kind or another.
+    as their local mean, in its log; metallic, 0 or 1, as what most of them are there.
     """
-    is_label = label[:, None] == OFFSETS[1]
-    columns = [np.log(roughness)[:, None], is_label, is_label * metallic[:, None]]
-    counted = np.concatenate([*columns, np.ones((len(uv), 1))], 1)
+    counted = np.stack([np.log(roughness), metallic, np.ones(len(uv))], 1)
     soft = cv2.GaussianBlur(spread(splat(uv, counted, size)), (0, 0), max(size / SOFT, 0.5))
-
-    share, of_label = np.split(soft[..., 1:], 2, axis=-1)
-    most = share.argmax(-1)[..., None]
-    kind = np.take_along_axis(of_label, most, -1) / np.take_along_axis(share, most, -1)
-    return np.exp(soft[..., 0]), np.clip(kind[..., 0], 0, 1)
+    return np.exp(soft[..., 0]), (soft[..., 1] > 0.5).astype(float)
 
 
 def spread(total: np.ndarray) -> np.ndarray:

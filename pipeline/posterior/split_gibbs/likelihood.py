@@ -32,7 +32,7 @@ def point_materials(
     region, lobes = data.region, data.lobes
     roughness = np.clip(materials.roughness[region] + offsets[0], 0, len(lobes.roughness) - 1)
     of_region = materials.metallic[region]
-    metallic = np.choose(offsets[1], [of_region, np.full_like(of_region, 0.5), 1 - of_region])
+    metallic = np.choose(offsets[1], [of_region, 1 - of_region])
     return roughness, np.minimum(metallic, lobes.most_metallic[roughness])
 
 

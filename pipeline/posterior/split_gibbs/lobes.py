@@ -29,8 +29,8 @@ BETWEEN = 4
 SWALLOWED = 0.3
 # of normals that are exact
 NO_SPREAD = np.zeros(1)
-# dielectric; dirt on metal, or a patch that holds both; metal
-METALLIC = np.array([0.0, 0.5, 1.0])
+# dielectric; metal. Nothing lies between: viewers do not agree on what that is
+METALLIC = np.array([0.0, 1.0])
 
 
 def metallic_step(metallic: np.ndarray) -> np.ndarray:

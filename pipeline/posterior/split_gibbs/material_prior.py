@@ -19,7 +19,7 @@ from pipeline.posterior.split_gibbs.lobes import METALLIC, LobeTable, metallic_s
 from pipeline.posterior.split_gibbs.state import RegionMaterials
 
 # how often a surface is of each of lobes.METALLIC
-KIND_SHARE = np.array([0.80, 0.01, 0.19])
+KIND_SHARE = np.array([0.8, 0.2])
 # of a Dirichlet distribution about these shares, from which every body draws its own: a region is
 # of another kind than one before it about half as often as by the shares alone
 BODY = 1.0
@@ -30,7 +30,7 @@ BLACK = 0.01
 # is a dielectric's highlight (a metal of base colour .04 looks like a black dielectric)
 DARKEST_METAL, FALL = 0.07, 0.02
 
-# mean and width of log base colour, mean of channels; between kinds by metallic
+# mean and width of log base colour, mean of channels
 DIELECTRIC, METAL = (np.log(0.3), 0.8), (np.log(0.6), 0.35)
 # orthonormal directions of log base colour: warm against cold, green against magenta
 TINTS = np.array([[1, 0, -1], [-1, 2, -1]]) / np.sqrt([[2], [6]])
@@ -59,9 +59,9 @@ def joint_tail(square: float, total: np.ndarray, count: int, freedom: int) -> fl
 
 
 def joint_parts(color: np.ndarray, metallic: np.ndarray) -> np.ndarray:
-    """What `log_joint_of` needs of every region's colour (R, 3) and metallic (R,), (R, 9):
+    """What `log_joint_of` needs of every region's colour (R, 3) and metallic (R,), (R, 8):
     standardised brightness, its square, log widths, the tint's sum of squares, the tint (2), and
-    which kind it is (3).
+    which kind it is (2).
     """
     log_color, m = np.log(color + BLACK), metallic[:, None]
     centre, width = ((1 - metallic) * a + metallic * b for a, b in zip(DIELECTRIC, METAL))
@@ -74,7 +74,7 @@ def joint_parts(color: np.ndarray, metallic: np.ndarray) -> np.ndarray:
 
 
 def log_joint_of(total: np.ndarray, count: int) -> float:
-    """`log_joint_prior` from the sum (9,) of `count` regions' `joint_parts`."""
+    """`log_joint_prior` from the sum (8,) of `count` regions' `joint_parts`."""
     brightness = joint_tail(total[1], total[:1], count, 1)
     tint = joint_tail(total[3], total[4:6], count, 2)
     kinds = gammaln(BODY * KIND_SHARE + total[6:]).sum()
@@ -92,7 +92,7 @@ def log_joint_prior(color: np.ndarray, metallic: np.ndarray) -> float:
 
 @lru_cache(maxsize=8)
 def log_roughness(roughness: tuple[float, ...]) -> np.ndarray:
-    """Log-probability of every roughness step at every value of METALLIC, (3, steps)."""
+    """Log-probability of every roughness step at every value of METALLIC, (2, steps)."""
     m = METALLIC[:, None]
     centre, width = ((1 - m) * a + m * b for a, b in zip(DIELECTRIC_ROUGHNESS, METAL_ROUGHNESS))
     value = -0.5 * ((np.log(roughness) - centre) / width) ** 2

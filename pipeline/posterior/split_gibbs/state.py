@@ -88,7 +88,7 @@ class State:
     code (3, M): the light's code under which the photos are explained (z of the split sweeps);
     log_scale: log of the factor between the decoded light and the scene's radiance;
     materials, offsets (3, p): the regions' materials; how every point lies off its region's, steps
-    of roughness and whether its metallic is half or the other kind's (coherence.py); and the index
+    of roughness and whether its metallic is the other kind's (coherence.py); and the index
     into `LobeTable.spreads` of what its normals spread by;
     noise: the rows' errors;
     color_step, spread_step (R,): step sizes of the materials' proposals, which adapt;

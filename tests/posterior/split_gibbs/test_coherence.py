@@ -10,7 +10,7 @@ from tests.seeds import numpy_rng
 
 def test_sweeps_leave_the_field_as_it_is():
     """Five points, two of them far from the others' colour: pairs of labels as often as the sum
-    over all 243 states says, to five deviations of each of 90.
+    over all 32 states says, to five deviations of each of 40.
     """
     rng = numpy_rng(0)
     pairs, weight = (
@@ -18,9 +18,9 @@ def test_sweeps_leave_the_field_as_it_is():
         np.array([1, 0.7, 1, 0.2, 1]),
     )
     neighbours = Neighbours.joining(5, pairs, weight)
-    odds = rng.normal(size=(5, 3))
+    odds = rng.normal(size=(5, 2))
 
-    states = np.array(list(itertools.product(range(3), repeat=5)))
+    states = np.array(list(itertools.product(range(2), repeat=5)))
     alone = odds[np.arange(5), states].sum(1)
     joined = sum(w * FAVOUR[1][states[:, i], states[:, j]] for (i, j), w in zip(pairs, weight))
     chance = np.exp(alone + joined)
@@ -32,7 +32,7 @@ def test_sweeps_leave_the_field_as_it_is():
         drawn.append(label)
     drawn = np.array(drawn)
     for i, j in itertools.combinations(range(5), 2):
-        for a, b in itertools.product(range(3), repeat=2):
+        for a, b in itertools.product(range(2), repeat=2):
             exact = chance[(states[:, i] == a) & (states[:, j] == b)].sum()
             found = ((drawn[:, i] == a) & (drawn[:, j] == b)).mean()
             # successive draws are not independent: a third of them counts
@@ -67,12 +67,12 @@ def test_a_patch_holds_where_single_points_do_not():
     grid = Neighbours.of(np.pad(at, ((0, 0), (0, 1))).astype(float), 0.0 * at, np.zeros(side**2))
     patch = (at < 5).all(1)
     single = ~patch & (at % 4 == 2).all(1)
-    odds = np.zeros((side**2, 3))
+    odds = np.zeros((side**2, 2))
     odds[:, 0] = 2.0
-    odds[patch | single, 2] = 4.0
+    odds[patch | single, 1] = 4.0
     rng, label, share = numpy_rng(2), np.zeros(side**2, int), []
     for _ in range(200):
         label = draw_labels(grid, odds, FAVOUR[1], label, 1, rng)
-        share.append(label == 2)
+        share.append(label == 1)
     share = np.mean(share[20:], 0)
     assert share[patch].mean() > 0.9 and share[single].mean() < 0.5

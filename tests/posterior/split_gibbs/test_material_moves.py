@@ -184,7 +184,7 @@ def test_prior_of_the_materials_is_students_t():
         tint = stats.multivariate_t(middle.ravel(), outer * np.kron(shape, np.eye(2)), df=TAIL)
         spread = stats.norm(*SPREAD_PRIOR).logpdf(np.log(t.spread)).sum()
         step = metallic_step(m)
-        count = np.bincount(step, minlength=3)
+        count = np.bincount(step, minlength=2)
         body = stats.dirichlet_multinomial(BODY * KIND_SHARE, 3).logpmf(count)
         in_order = body - gammaln(4) + gammaln(count + 1).sum()
         own = log_roughness(ROUGHNESS)[step, t.roughness]
@@ -363,4 +363,4 @@ def test_offsets_stay_among_the_roughnesses_there_are_and_turn_kinds():
     roughness, metallic = point_materials(data, plain_regions(), far)
     assert (roughness == 8 * BETWEEN - 1).all() and (metallic == 1).all()
     half = np.stack([np.zeros(120, int), np.arange(120) % 2, np.zeros(120, int)])
-    assert set(point_materials(data, plain_regions(), half)[1]) == {0.0, 0.5}
+    assert (point_materials(data, plain_regions(), half)[1] == np.arange(120) % 2).all()
