@@ -24,6 +24,9 @@ CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
 LOCK = (ROOT / "requirements.lock").read_text()
 PINS = dict(re.findall(r"^([^\s#=]+)==(\S+)", LOCK, re.MULTILINE))
 
+# what runs inside Blender has these from it, and runs nowhere else (benchmarks/blender_render.py)
+OF_BLENDER = {"bpy", "mathutils"}
+
 
 def declared(*extras: str) -> list[Requirement]:
     """The project's direct dependencies, with those of optional groups."""
@@ -73,7 +76,7 @@ def third_party_imports(folder: str) -> set[str]:
             elif isinstance(node, ast.ImportFrom):
                 found.add(node.module.split(".")[0])
     ours = {"pipeline", "stages", "benchmarks", "tests", "examples"}
-    return found - sys.stdlib_module_names - ours
+    return found - sys.stdlib_module_names - ours - OF_BLENDER
 
 
 @pytest.mark.parametrize(
