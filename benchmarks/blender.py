@@ -3,12 +3,13 @@ importer makes of them.
 
 python -m venv FOLDER && FOLDER/bin/pip install bpy==5.0.1
 python -m benchmarks.blender --work work/garden --exports exports --blender FOLDER/bin/python \
-    [--out rows.json]
+    [--out rows.json] [--pictures FOLDER]
 
 A row: `scene`, Blender's `version`, and for the mean and every sample, by the name of its variant,
 `psnr`, dB in the pixels that the first sample's stage scored, and `level`, how bright the picture
 is against the photos there. An asset is opened as it is; its dome light has to arrive as the
 world's light, its textures and its normal map as the material's (benchmarks/blender_render.py).
+FOLDER/<scene>.png has every photo beside Blender's picture of the mean.
 """
 
 from __future__ import annotations
@@ -22,18 +23,20 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from benchmarks.look import below_each_other, cropped
 from benchmarks.scenes import machine
 from benchmarks.unlit import lit_samples
 from pipeline.base.config import Observe
 from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import read_json, write_json
-from pipeline.base.images import read_exr
+from pipeline.base.images import read_exr, to_srgb8, write_png
 from pipeline.geometry.cameras import View
 from pipeline.render.metrics import held_out_photos, psnr, scored_pixels
 from pipeline.render.observe import Observations
+from pipeline.render.samples import MEAN
 
 RENDER = Path(__file__).with_name("blender_render.py")
-SAMPLES = 32  # paths a pixel of each of two pictures, whose noise drops out of a score
+SAMPLES = 16  # paths a pixel of each of two pictures, whose noise drops out of a score
 SENSOR = 36.0  # width in millimetres; any will do
 # Y-up to Blender's Z-up, as its importer turns assets; and a camera that looks along -z with y up
 # from one that looks along +z with y down
@@ -95,7 +98,16 @@ def version_of(blender: Path) -> str:
     return said.stdout.rpartition("is ")[2].strip()
 
 
-def row(work: Path, exports: Path, blender: Path, erode: float) -> dict:
+def beside_photos(made: list[np.ndarray], held_out: HeldOut) -> np.ndarray:
+    """A sheet (h, w, 3) of photos and pictures, black beside the masks."""
+    rows = []
+    for two, (_, photo, mask) in zip(made, held_out):
+        inside = np.where(mask[..., None], [photo, two.mean(0)], 0)
+        rows.append(cropped([to_srgb8(image) for image in inside], mask))
+    return below_each_other(rows)
+
+
+def row(work: Path, exports: Path, blender: Path, erode: float, sheets: Path | None) -> dict:
     observations = Observations(work / "observe", work / "poses" / "cameras.json")
     photos = SimpleNamespace(observations=observations)
     held_out = held_out_photos(photos, work / "poses", work / "mesh", erode)
@@ -106,6 +118,8 @@ def row(work: Path, exports: Path, blender: Path, erode: float) -> dict:
     for asset in sorted((exports / work.name).glob("*.usda")):
         made = pictures(blender, asset, [view for view, _, _ in held_out])
         found[asset.stem] = compared(made, held_out, chosen)
+        if sheets and asset.stem == MEAN:
+            write_png(sheets / f"{work.name}.png", beside_photos(made, held_out))
     return found
 
 
@@ -120,11 +134,12 @@ def main() -> None:
         "--erode", type=float, default=Observe().erode, help="the scene's observe.erode"
     )
     parser.add_argument("--out", type=Path, help="JSON file for all rows")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="for sheets to look at")
     args = parser.parse_args()
 
     rows = []
     for work in args.work:
-        rows.append(row(work, args.exports, args.blender, args.erode))
+        rows.append(row(work, args.exports, args.blender, args.erode, args.pictures))
         print(json.dumps(rows[-1]), flush=True)
     if args.out:
         write_json(args.out, {"machine": machine(), "rows": rows})

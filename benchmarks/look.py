@@ -84,6 +84,15 @@ def rows_of_tiles(work: Path, sample: Path) -> list[list[np.ndarray]]:
     return rows
 
 
+def below_each_other(rows: list[list[np.ndarray]]) -> np.ndarray:
+    """Rows of tiles (h, w, 3), each row's of one size, as one picture, filled up with black."""
+    sheets = [in_rows(tiles, len(tiles)) for tiles in rows]
+    width = max(sheet.shape[1] for sheet in sheets)
+    return np.concatenate(
+        [np.pad(sheet, ((0, 0), (0, width - sheet.shape[1]), (0, 0))) for sheet in sheets]
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -94,10 +103,7 @@ def main() -> None:
     args = parser.parse_args()
 
     rows = rows_of_tiles(args.work, args.work / "refine" / str(args.sample))
-    sheets = [in_rows(tiles, len(tiles)) for tiles in rows]
-    width = max(sheet.shape[1] for sheet in sheets)
-    sheets = [np.pad(sheet, ((0, 0), (0, width - sheet.shape[1]), (0, 0))) for sheet in sheets]
-    write_png(args.out, np.concatenate(sheets))
+    write_png(args.out, below_each_other(rows))
 
 
 if __name__ == "__main__":

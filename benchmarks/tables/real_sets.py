@@ -127,19 +127,29 @@ def view_dependence() -> str:
 
 
 def viewer() -> str:
-    """What UsdPreviewSurface shows of the samples, by the numbers that assets carry and others."""
+    """What UsdPreviewSurface and Blender show of the samples, by the numbers that assets carry, and
+    UsdPreviewSurface by others.
+    """
+    in_blender = {row["scene"]: row for row in committed.rows_of("blender")}
+    listed = lambda values: ", ".join(number(value, 2) for value in values)
     body = []
     for row in committed.rows_of("viewer"):
         shown = [*row["samples"], row["mean"]]
-        figures = [
-            ", ".join(number(one[key], 2) for one in shown)
-            for key in ("renderer", "exported", "unchanged")
-        ]
+        own, exported, unchanged = (
+            listed(one[key] for one in shown) for key in ("renderer", "exported", "unchanged")
+        )
+        blender = in_blender[row["scene"]]
+        variants = [*(f"sample_{k}" for k in range(len(row["samples"]))), "mean"]
+        pictures = [listed(blender[v][key] for v in variants) for key in ("psnr", "level")]
         clipped = max(one["clipped"] for one in shown)
-        body.append([row["scene"], *figures, f"{clipped:.1%}"])
+        body.append([row["scene"], own, exported, *pictures, unchanged, f"{clipped:.1%}"])
     head = ["set", "renderer's model dB: samples, mean", "UsdPreviewSurface, as exported dB"]
-    head += ["by the renderer's numbers dB", "base colours too bright for it, at most"]
-    return pipe_table(head, body) + source("viewer")
+    head += ["Blender, as exported dB", "level in Blender"]
+    head += [
+        "UsdPreviewSurface by the renderer's numbers dB",
+        "base colours too bright for it, at most",
+    ]
+    return pipe_table(head, body) + source("viewer") + source("blender")
 
 
 TABLES = {

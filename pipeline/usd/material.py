@@ -79,8 +79,8 @@ class Material:
 
 def define_material(stage: Usd.Stage, root: Usd.Prim, mesh: UsdGeom.Mesh) -> Material:
     """UsdPreviewSurface (metallic workflow), bound to the mesh; `Material.dress` gives it maps."""
-    material = UsdShade.Material.Define(stage, root.GetPath().AppendChild("Material"))
-    path = material.GetPath()
+    path = root.GetPath().AppendChild(f"{root.GetName()}_material")
+    material = UsdShade.Material.Define(stage, path)
 
     reader = UsdShade.Shader.Define(stage, path.AppendChild("St"))
     reader.CreateIdAttr("UsdPrimvarReader_float2")

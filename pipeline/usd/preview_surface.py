@@ -5,6 +5,11 @@ lobe. UsdPreviewSurface (its specification, version 2.6, and the shader that com
 takes what a dielectric mirrors off what it scatters, and has Lambert's lobe and not Disney's, which
 brightens with roughness: the same numbers are shown darker, by 2 % at roughness .2 and 10 % at 1.
 
+Blender's importer makes a Principled BSDF of it, whose highlight lies over Lambert's lobe and lets
+through what it does not reflect itself, 1 - S (measured in an even light, Blender 5.0.1, to .003):
+rough things are brighter by up to 4 % than in UsdPreviewSurface, glossy ones darker by up to 3 %.
+An asset lies halfway.
+
 And viewers disagree about a metallic between 0 and 1. The renderer, and MaterialX's graph of
 UsdPreviewSurface, mix what a metal and a dielectric reflect; OpenUSD's shader also mixes the
 metal's tint with white, and mirrors several times as much where base colours are dark. In the mean
@@ -16,7 +21,8 @@ A base colour a' is exported that reflects as much of an even light as the rende
     (1 - m) (A a + S) + m (M1 a + M0 (1 - a))  =  (1 - m') (D a' + G) + m' (M1 a' + M0 (1 - a'))
 
 for metallic m and, as exported, m'; A, S, M1 and M0 are the albedos of the renderer's lobes
-(principled_lobes.py), D and G those of UsdPreviewSurface. A metal keeps its base colour by that:
+(principled_lobes.py), D and G those of viewers, the mean of UsdPreviewSurface's and of Blender's,
+1 - S and S. A metal keeps its base colour by that:
 seen from the front both models reflect the same, and what Mitsuba's has more at grazing angles must
 not lift the rest. How either falls off with the angle stays the viewer's own.
 
@@ -64,20 +70,26 @@ def preview_albedo(roughness: float, ior: float) -> np.ndarray:
     return np.array([np.array(lobe).mean() for lobe in (diffuse, highlight)])
 
 
+def viewers_albedo(roughness: float, ior: float) -> np.ndarray:
+    """D and G (2,), the mean of what UsdPreviewSurface and Blender show."""
+    highlight = lobe_albedo(roughness, ior)[1]
+    return (preview_albedo(roughness, ior) + [1 - highlight, highlight]) / 2
+
+
 def for_preview_surface(x: Explanation, decide: bool = False) -> tuple[Explanation, float]:
-    """The explanation with the numbers of a UsdPreviewSurface that shows it, and the share of its
-    base colours' values that ended at 1 because none as bright would do. decide: make every texel
-    a metal or none.
+    """The explanation with the numbers of a UsdPreviewSurface with which viewers show it, and the
+    share of its base colours' values that ended at 1 because none as bright would do. decide: make
+    every texel a metal or none.
     """
-    diffuse, highlight, metal, edge, preview_diffuse, preview_highlight = _albedos(x, x.roughness)
+    diffuse, highlight, metal, edge, shown_diffuse, shown_highlight = _albedos(x, x.roughness)
     metallic = _at_color(x, x.metallic)
     of_dielectric = diffuse * x.base_color + highlight
     reflected = (1 - metallic) * of_dielectric + metallic * (metal * x.base_color + edge)
 
     shown_metallic = (x.metallic >= 0.5).astype(np.float32) if decide else x.metallic
     decided = _at_color(x, shown_metallic)  # between 0 and 1 at a metal's rim, in a viewer too
-    of_black = (1 - decided) * preview_highlight + decided * edge
-    color = (reflected - of_black) / ((1 - decided) * preview_diffuse + decided * metal)
+    of_black = (1 - decided) * shown_highlight + decided * edge
+    color = (reflected - of_black) / ((1 - decided) * shown_diffuse + decided * metal)
     shown = replace(
         x,
         base_color=np.clip(color, 0, 1).astype(np.float32),
@@ -92,9 +104,9 @@ def from_preview_surface(x: Explanation) -> Explanation:
     as that decided nothing. A metallic between 0 and 1 mixes what either reflects.
     """
     roughness = _where_bare(x, LAMBERTIAN)
-    diffuse, highlight, metal, _, preview_diffuse, preview_highlight = _albedos(x, roughness)
+    diffuse, highlight, metal, _, shown_diffuse, shown_highlight = _albedos(x, roughness)
     metallic = _at_color(x, x.metallic)
-    of_dielectric = preview_diffuse * x.base_color + preview_highlight - highlight
+    of_dielectric = shown_diffuse * x.base_color + shown_highlight - highlight
     reflected = (1 - metallic) * of_dielectric + metallic * metal * x.base_color
     color = reflected / ((1 - metallic) * diffuse + metallic * metal)
     return replace(x, base_color=np.clip(color, 0, 1).astype(np.float32), roughness=roughness)
@@ -115,12 +127,12 @@ def _at_color(x: Explanation, image: np.ndarray) -> np.ndarray:
 
 def _albedos(x: Explanation, roughness: np.ndarray) -> list[np.ndarray]:
     """At the base colour's texels (t, t, 1): A and S; of a metal what its base colour is multiplied
-    by and what it reflects at a base colour of 0, M1 - M0 and M0; D and G. roughness (s, s): the
-    renderer's.
+    by and what it reflects at a base colour of 0, M1 - M0 and M0; D and G of viewers. roughness
+    (s, s): the renderer's.
     """
     ours = np.stack([lobe_albedo(float(r), x.ior) for r in ROUGHNESS])
     shown = np.ones_like(ROUGHNESS) if x.ior == NO_HIGHLIGHT else ROUGHNESS
-    preview = np.stack([preview_albedo(float(r), x.ior) for r in shown])
+    preview = np.stack([viewers_albedo(float(r), x.ior) for r in shown])
     diffuse, highlight, white, edge = ours.T
     at = _at_color(x, roughness)
     columns = (diffuse, highlight, white - edge, edge, *preview.T)

@@ -55,8 +55,8 @@ def new_stage(path: Path, name: str, facts: dict) -> tuple[Usd.Stage, Usd.Prim]:
 
 
 def define_mesh(stage: Usd.Stage, root: Usd.Prim, mesh: Mesh) -> UsdGeom.Mesh:
-    """The mesh with vertex normals and vertex st (v up)."""
-    prim = UsdGeom.Mesh.Define(stage, root.GetPath().AppendChild("Object"))
+    """The mesh, of the root's name, with vertex normals and vertex st (v up)."""
+    prim = UsdGeom.Mesh.Define(stage, root.GetPath().AppendChild(root.GetName()))
     points = mesh.vertices.astype(np.float32)
     prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
     prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
@@ -77,7 +77,7 @@ def define_mesh(stage: Usd.Stage, root: Usd.Prim, mesh: Mesh) -> UsdGeom.Mesh:
 
 def define_light(stage: Usd.Stage, root: Usd.Prim) -> UsdLux.DomeLight:
     """A white lat-long dome of intensity 1 whose texture is set later."""
-    light = UsdLux.DomeLight.Define(stage, root.GetPath().AppendChild("Light"))
+    light = UsdLux.DomeLight.Define(stage, root.GetPath().AppendChild(f"{root.GetName()}_light"))
     light.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
     light.CreateIntensityAttr(1.0)
     light.CreateExposureAttr(0.0)

@@ -53,9 +53,14 @@ def exported(tmp_path, ball):
     return export(ball, samples, out, {"preset": "draft"}), out, samples
 
 
-def files_of(stage):
+def child(stage, suffix=""):
+    """The mesh, or what else has the asset's name with a suffix."""
     root = stage.GetDefaultPrim()
-    light = root.GetChild("Light").GetAttribute("inputs:texture:file").Get().path
+    return root.GetChild(root.GetName() + suffix)
+
+
+def files_of(stage):
+    light = child(stage, "_light").GetAttribute("inputs:texture:file").Get().path
     maps = [
         UsdShade.Shader(p).GetInput("file").Get().path
         for p in stage.Traverse()
@@ -141,10 +146,8 @@ def test_check_finds_what_is_wrong(exported):
     (out.with_suffix("") / "sample_1" / "light.exr").unlink()
     assert any("sample_1" in p for p in check(out))
     stage = Usd.Stage.Open(str(out.with_suffix("") / "sample_0.usda"))
-    stage.GetDefaultPrim().GetChild("Light").GetAttribute("inputs:texture:file").Set(
-        "/somewhere/else.exr"
-    )
-    stage.GetDefaultPrim().GetChild("Object").GetAttribute("faceVertexCounts").Set([3])
+    child(stage, "_light").GetAttribute("inputs:texture:file").Set("/somewhere/else.exr")
+    child(stage).GetAttribute("faceVertexCounts").Set([3])
     stage.GetRootLayer().Save()
     problems = " ".join(check(out.with_suffix("") / "sample_0.usda"))
     assert "absolute path" in problems and len(problems) > 60
@@ -242,8 +245,7 @@ def test_mesh_and_light_conventions(exported, ball):
 
     _, out, _ = exported
     stage, mesh = Usd.Stage.Open(str(out)), load_mesh(ball / "mesh_uv.ply")
-    root = stage.GetDefaultPrim()
-    prim, light = UsdGeom.Mesh(root.GetChild("Object")), UsdLux.DomeLight(root.GetChild("Light"))
+    prim, light = UsdGeom.Mesh(child(stage)), UsdLux.DomeLight(child(stage, "_light"))
     assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 1
     assert (
         prim.GetSubdivisionSchemeAttr().Get() == "none"
@@ -295,7 +297,7 @@ def test_fit_and_export_agree_on_the_texture_frame(ball):
 
 
 def shader_of(stage, name):
-    return UsdShade.Shader(stage.GetDefaultPrim().GetChild("Material").GetChild(name))
+    return UsdShade.Shader(child(stage, "_material").GetChild(name))
 
 
 def test_normal_map_is_exported_as_the_specification_asks(bumpy, tmp_path, exported):
