@@ -9,7 +9,7 @@ A row: `scene`, Blender's `version`, and for the mean and every sample, by the n
 `psnr`, dB in the pixels that the first sample's stage scored, and `level`, how bright the picture
 is against the photos there. An asset is opened as it is; its dome light has to arrive as the
 world's light, its textures and its normal map as the material's (benchmarks/blender_render.py).
-FOLDER/<scene>.png has every photo beside Blender's picture of the mean.
+FOLDER/<scene>.jpg has every photo beside Blender's picture of the mean.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def row(work: Path, exports: Path, blender: Path, erode: float, sheets: Path | N
         made = pictures(blender, asset, [view for view, _, _ in held_out])
         found[asset.stem] = compared(made, held_out, chosen)
         if sheets and asset.stem == MEAN:
-            write_png(sheets / f"{work.name}.png", beside_photos(made, held_out))
+            write_png(sheets / f"{work.name}.jpg", beside_photos(made, held_out))
     return found
 
 

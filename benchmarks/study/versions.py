@@ -79,12 +79,12 @@ def table(method: str, before: str, after: str) -> str:
     further = f"seeds {seeds[0]} to {seeds[-1]}"
     body = [
         [f"former code ({before}), {further}", *cells(old, method, scenes)],
-        [f"today's ({after}), {further}", *cells(new, method, scenes)],
-        ["today's, the study's seeds", *cells(study, method, scenes)],
+        [f"later code ({after}), {further}", *cells(new, method, scenes)],
+        ["the study's rows, its seeds", *cells(study, method, scenes)],
     ]
-    for name, less in (("less the former code", old), ("less the study's seeds", study)):
+    for name, less in (("less the former code", old), ("less the study's rows", study)):
         changes = [difference(new, less, method, key) for key in SHOWN]
-        body.append([f"today's, {further}, {name}", *(with_interval(c, 2) for c in changes)])
+        body.append([f"later code, {further}, {name}", *(with_interval(c, 2) for c in changes)])
     return pipe_table([f"`{method}`, {len(scenes)} scenes", *map(heading, SHOWN)], body)
 
 

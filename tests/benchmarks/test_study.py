@@ -413,7 +413,7 @@ def test_versions_are_tabulated_on_the_scenes_that_all_have(data, tmp_path, monk
     assert lines[0].startswith(f"| `{OURS}`, 1 scenes |")
     assert [line.split("|")[1].strip() for line in lines[2:4]] == [
         "former code (old), seeds 3 to 4",
-        "today's (new), seeds 3 to 4",
+        "later code (new), seeds 3 to 4",
     ]
     assert all(cell.strip().startswith(".25") for cell in lines[5].split("|")[2:-1])
     with pytest.raises(InputError, match="no scene has rows of map"):
