@@ -9,6 +9,8 @@ itself.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import cv2
 import numpy as np
 
@@ -30,6 +32,43 @@ ENOUGH = 0.995  # of a scale that is too large: closer is not sought
 NEAR = 0.97  # of the scale that the coarse page promised: good enough on the page itself
 
 
+@dataclass(frozen=True)
+class Page:
+    """Charts for a page of so many texels.
+
+    boxed: coordinates (k, 2) of every chart; corners: its triangles (m, 3); inner: texels along the
+    page without its margin; half: texels around a chart.
+    """
+
+    boxed: list[np.ndarray]
+    corners: list[np.ndarray]
+    inner: int
+    half: int
+    placed_by_xatlas: Call
+
+    def laid(self, scale: float, turns: np.ndarray) -> tuple[list[np.ndarray], tuple[int, int]]:
+        """Every chart where it lies after so many quarter turns (c,), and the page's sides in u and
+        v. scale: texels per unit.
+        """
+        lying = [scale * turned(uv, quarters) for uv, quarters in zip(self.boxed, turns)]
+        return self.placed_by_xatlas(lying, self.corners, self.half, int(WIDE * self.inner))
+
+    def sides(self, scale: float, turns: np.ndarray) -> tuple[int, int]:
+        return self.laid(scale, turns)[1]
+
+    @property
+    def coarse(self) -> Page:
+        """The same page with few texels, in which a chart is placed in an eighth of the time."""
+        side = min(COARSE, self.inner)
+        half = int(np.ceil(self.half / (self.inner + 2 * self.half) * side))
+        return replace(self, inner=side, half=half)
+
+    @property
+    def area(self) -> float:
+        """The charts', in square units."""
+        return sum(chart_area(uv, corner) for uv, corner in zip(self.boxed, self.corners))
+
+
 def packed(charts: list[Chart], resolution: int, padding: int) -> list[np.ndarray]:
     """The charts' coordinates (k, 2) in [0, 1]^2, no two nearer than `padding` texels, and as many
     between two at opposite edges of the square. None is mirrored and all have one scale.
@@ -47,24 +86,17 @@ def _packed(
     half = (padding + 1) // 2
     inner = resolution - 2 * half
     boxed = [upright(uv) for uv, _ in charts]
-    corners = [corner for _, corner in charts]
+    page = Page(boxed, [corner for _, corner in charts], inner, half, placed_by_xatlas)
     generator = np.random.default_rng(0)
-    turns, scale = _best_turns(
-        boxed, corners, inner, half / resolution, placed_by_xatlas, generator
-    )
-
-    def page(scale: float, turns: np.ndarray) -> tuple[list[np.ndarray], tuple[int, int]]:
-        lying = [scale * turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
-        return placed_by_xatlas(lying, corners, half, int(WIDE * inner))
+    turns, scale = _best_turns(page, generator)
 
     best = None
     longest = max(float(np.ptp(uv, axis=0).max()) for uv in boxed)  # turns leave it as it is
     scale = promised = min(scale, (inner - 1) / max(longest, 1e-30))
-    area = sum(chart_area(*chart) for chart in charts)
-    least = LEAST * (resolution**2 / area) ** 0.5
+    least = LEAST * (resolution**2 / page.area) ** 0.5
     fits, too_large, step = least, np.inf, ENOUGH
     for _ in range(FITS):
-        placed, sides = page(scale, turns)
+        placed, sides = page.laid(scale, turns)
         if max(sides) <= inner:
             best, fits = placed, scale
         else:
@@ -87,49 +119,41 @@ def _packed(
         )
 
     # a scale may fit where a smaller one does not: where less fits than the coarse page promised,
-    # other turns are tried half the way up
+    # other turns are tried half the way up, on the page itself if they fit on the coarse one
+    coarse = page.coarse
     for _ in range(_tries(len(boxed))):
         if fits > NEAR * promised:
             break
         scale, others = (fits * promised) ** 0.5, some_turned(turns, generator)
-        placed, sides = page(scale, others)
+        if max(coarse.sides(scale * coarse.inner / inner, others)) > coarse.inner:
+            continue
+        placed, sides = page.laid(scale, others)
         if max(sides) <= inner:
             best, fits, turns = placed, scale, others
     return [(uv + half) / resolution for uv in best]
 
 
-def _best_turns(
-    boxed: list[np.ndarray],
-    corners: list[np.ndarray],
-    inner: int,
-    margin: float,
-    placed_by_xatlas: Call,
-    generator: np.random.Generator,
-) -> tuple[np.ndarray, float]:
-    """Quarter turns of every chart (c,) with which the page is smallest, and the scale in texels
-    per unit at which it has the area of `inner` squared. margin: texels around a chart, as share
-    of the page.
+def _best_turns(page: Page, generator: np.random.Generator) -> tuple[np.ndarray, float]:
+    """Quarter turns of every chart (c,) with which the page is smallest, sought on the coarse one,
+    and the scale in texels per unit at which it has the page's own area.
     """
-    coarse = min(COARSE, inner)
-    half = int(np.ceil(margin * coarse))
-    area = sum(chart_area(uv, corner) for uv, corner in zip(boxed, corners))
-    scale = (DENSITY * coarse**2 / area) ** 0.5
+    boxed, coarse = page.boxed, page.coarse
+    scale = (DENSITY * coarse.inner**2 / page.area) ** 0.5
     tries = _tries(len(boxed))
 
     along = np.array([int(np.ptp(uv[:, 0]) < np.ptp(uv[:, 1])) for uv in boxed])
     least = np.inf
     best = turns = along
     for k in range(tries):
-        scaled = [scale * turned(uv, quarters) for uv, quarters in zip(boxed, turns)]
-        page = _page(placed_by_xatlas(scaled, corners, half, int(WIDE * coarse))[1], coarse)
-        if page <= least:
+        size = _size(coarse.sides(scale, turns), coarse.inner)
+        if size <= least:
             best = turns
-            least = page
+            least = size
         upside_down = along + 2 * generator.integers(0, 2, len(boxed))
         anyhow = generator.integers(0, 4, len(boxed))
         others = some_turned(best, generator)
         turns = others if k >= ANEW * tries else upside_down if k % 2 == 0 else anyhow
-    return best, scale * inner / least**0.5
+    return best, scale * page.inner / least**0.5
 
 
 def _tries(charts: int) -> int:
@@ -143,7 +167,7 @@ def some_turned(turns: np.ndarray, generator: np.random.Generator) -> np.ndarray
     return np.where(changed, generator.integers(0, 4, len(turns)), turns)
 
 
-def _page(sides: tuple[int, int], coarse: int) -> float:
+def _size(sides: tuple[int, int], coarse: int) -> float:
     """The area that a page of these sides in u and v takes of a square: its own, for charts of
     another scale would make it as wide and less high; that of the square around it where it has
     grown wider than it began.

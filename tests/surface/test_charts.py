@@ -23,7 +23,7 @@ from pipeline.surface.charts import (
     joined_charts,
     laid_flat,
 )
-from pipeline.surface.pack import COARSE, DENSITY, NEAR, _best_turns, _packed, packed
+from pipeline.surface.pack import COARSE, DENSITY, FITS, NEAR, Page, _best_turns, _packed, packed
 from pipeline.surface.raster import rasterize
 from tests.seeds import numpy_rng
 
@@ -292,7 +292,8 @@ def test_turns_that_make_the_page_too_wide_are_not_taken():
         lies = all(np.ptp(uv[:, 0]) > np.ptp(uv[:, 1]) for uv in charts)
         return charts, (100, 100) if lies else (150, 50)
 
-    turns, scale = _best_turns(boxes, [SQUARE[1]] * 3, 100, 0.01, as_if_placed, numpy_rng(0))
+    page = Page(boxes, [SQUARE[1]] * 3, 100, 1, as_if_placed)
+    turns, scale = _best_turns(page, numpy_rng(0))
     assert (turns % 2 == 0).all()
     area = sum(areas(uv, SQUARE[1]).sum() for uv in boxes)
     assert np.isclose(scale, (DENSITY * 100**2 / area) ** 0.5)
@@ -316,6 +317,27 @@ def test_other_turns_are_tried_where_the_page_holds_less_than_was_promised():
 
     found = _packed(boxes, resolution, padding, as_if_placed)
     assert side(found) * resolution > NEAR * first[0]
+
+
+def test_what_does_not_fit_on_the_coarse_page_is_not_tried_on_the_page_itself():
+    """A coarse page that promises much in the search of turns, and then says no to all others: the
+    page itself, eight times the work, has the tries of the scale only.
+    """
+    boxes = [(SQUARE[0] * [k, 1], SQUARE[1]) for k in (2, 3, 4, 5)]
+    side = lambda charts: max(np.ptp(uv, axis=0).max() for uv in charts)
+    on_the_page, after = [], []
+
+    def as_if_placed(charts, corners, half, width):
+        if width > COARSE:
+            on_the_page.append(side(charts))
+            most = 1020 if on_the_page[-1] < 0.5 * on_the_page[0] else 1021
+            return charts, (most, most)
+        if on_the_page:
+            after.append(side(charts))
+        return charts, (COARSE + len(on_the_page),) * 2
+
+    _packed(boxes, 1024, 4, as_if_placed)
+    assert len(on_the_page) <= FITS < len(after)
 
 
 def atlases_destroyed_by_a_page():
