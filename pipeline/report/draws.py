@@ -70,8 +70,8 @@ def weights_words(weights: np.ndarray, pixels: int) -> str:
         return "All samples count alike in their mean: photos are too few to judge them by."
     *others, last = (f"{k} by {100 * share:.0f} %" for k, share in enumerate(weights))
     return (
-        f"In their mean sample {', '.join(others)} and {last} counts: the mixture that predicts "
-        "photos best that its base colours were not made from."
+        f"The mean counts sample {', '.join(others)} and {last}: the mixture that best predicts "
+        "photos which its base colours were not made from."
     )
 
 

@@ -101,7 +101,8 @@ def page(
     how far the asset may be relied on; `enough`, whether there are samples enough, `counts`, how
     much each counts in the mean, and `within`, how far base colours may be off, all three empty for
     one sample; `unseen`, how much of the surface no photo shows, empty for hardly any; `alike`,
-    that one roughness of all samples is a choice, empty where they differ.
+    that one roughness of all samples is a choice, empty where they differ; `files`, what
+    `asset_files` gives.
     """
     environment = Environment(
         loader=PackageLoader("pipeline.report", ""), autoescape=True, undefined=StrictUndefined

@@ -26,6 +26,7 @@ from pipeline.report.draws import (
     unseen_words,
     weights_words,
 )
+from pipeline.report.files import asset_files
 from pipeline.report.html import page
 from pipeline.report.pictures import Painter, contact_sheet, normal_map, spread_pictures
 from pipeline.report.trust import evidence, in_words, load_model, probability
@@ -101,9 +102,10 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     within = interval_words(certain) if certain else ""
     weights = explanations.weights
     counts = weights_words(weights, len(explanations.judged[0].pixel)) if certain else ""
-    said = {"trust": trust, "enough": enough, "within": within, "counts": counts}
+    said: dict = {"trust": trust, "enough": enough, "within": within, "counts": counts}
     said["alike"] = alike_words(spread, scene.refine.gloss == "tested") if spread else ""
     said["unseen"] = unseen_words(load_mesh(work / "atlas" / "mesh_uv.ply"), texels)
+    said["files"] = asset_files(usd, out, scene.samples)
     shown = view.name, view.name in held
     html = page(usd, scene, facts, pictures, samples, of_mean, *shown, said)
     with atomic_path(out) as temporary:

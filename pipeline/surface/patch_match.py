@@ -389,21 +389,25 @@ def sweep(
     depth: np.ndarray,
     normal: np.ndarray,
     cost: np.ndarray,
+    rows: np.ndarray,
     color: int,
     fresh: bool,
     spread: Single,
     tries: int,
     seed: int,
 ) -> None:
-    """Improve the planes of one colour of the checkerboard, in place.
+    """Improve the planes of one colour of the checkerboard, in place. In what order rows are taken
+    changes nothing: planes of the other colour alone are looked at.
 
     image: (h, w) grey; near, far: (h, w) depths allowed, 0 where there is no object; depth (h, w),
-    normal (h, w, 3), cost (h, w): the planes; fresh: their costs are not known yet; spread: width
-    of the first of `tries` random changes, see `moved`, each half as wide as the one before.
+    normal (h, w, 3), cost (h, w): the planes; rows: those with an object, of which every thread
+    takes as many that lie together here; fresh: their costs are not known yet; spread: width of the
+    first of `tries` random changes, see `moved`, each half as wide as the one before.
     """
     h, w = depth.shape
     inside = far > 0
-    for y in prange(h):
+    for place in prange(len(rows)):
+        y = rows[place]
         values = np.empty(SAMPLES, np.float32)
         weights = np.empty(SAMPLES, np.float32)
         costs = np.empty(len(others.which), np.float32)

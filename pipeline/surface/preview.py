@@ -1,7 +1,8 @@
-"""Shaded pictures and silhouettes of a mesh by Open3D's ray caster."""
+"""Shaded pictures of a mesh by Open3D's ray caster, and silhouettes."""
 
 from __future__ import annotations
 
+from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from pipeline.base.runtime import import_open3d
 from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import Mesh
+from pipeline.surface.zbuffer import Crop, z_buffer
 
 
 def caster(mesh: Mesh) -> tuple[Any, ModuleType]:
@@ -27,12 +29,26 @@ class Silhouette:
     """Which pixels of a view the mesh covers."""
 
     def __init__(self, mesh: Mesh):
-        self.scene, self.o3d = caster(mesh)
+        self.vertices, self.faces = mesh.vertices.astype(float), np.ascontiguousarray(mesh.faces)
+        self.caster = cache(lambda: caster(mesh))
 
     def __call__(self, view: View) -> np.ndarray:
+        """(h, w) bool: whether the mesh covers each pixel's centre. By a z-buffer, a tenth of the
+        time of rays; by rays where the mesh reaches behind the camera, for a z-buffer leaves out
+        triangles that do.
+        """
+        if (view.project(self.vertices)[1] <= 0).any():
+            return self.hit(view)
+        crop = Crop.around(view, self.vertices, margin=1)
+        out = np.zeros((view.height, view.width), bool)
+        crop.of(out)[:] = z_buffer(crop, self.vertices, self.faces)[1] >= 0
+        return out
+
+    def hit(self, view: View) -> np.ndarray:
         """(h, w) bool, by a ray through each pixel's centre."""
+        scene, o3d = self.caster()
         rays = np.concatenate(view.rays(view.pixel_centers()), -1).astype(np.float32)
-        hit = self.scene.cast_rays(self.o3d.core.Tensor(rays))
+        hit = scene.cast_rays(o3d.core.Tensor(rays))
         return np.isfinite(hit["t_hit"].numpy())
 
 

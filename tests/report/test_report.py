@@ -33,6 +33,7 @@ from pipeline.report.draws import (
     unseen_words,
     weights_words,
 )
+from pipeline.report.files import asset_files
 from pipeline.report.make import make_report
 from pipeline.report.pictures import (
     BESIDE,
@@ -97,8 +98,27 @@ def page(tmp_path_factory, ball, ring) -> tuple[dict, str, Path]:
     place = tmp_path_factory.mktemp("reported")
     work = finished_run(place / "work", ball, ring(4, SIZE))
     out = place / "exports" / "mein garten é_report.html"
-    metrics = make_report(work, place / "mein <garten> é.usda", out, SCENE)
+    asset = place / "mein <garten> é.usda"
+    asset.touch()
+    metrics = make_report(work, asset, out, SCENE)
     return metrics, out.read_text(encoding="utf-8"), place
+
+
+def test_the_asset_is_a_click_away(page, page_of_one):
+    """By an address relative to the page; what is not there is not named."""
+    link = '<a href="../mein%20%3Cgarten%3E%20%C3%A9.usda">mein &lt;garten&gt; é.usda</a>'
+    assert link in page[1] and ".usdz" not in page[1]
+    assert "Open it" not in page_of_one[1]
+
+
+@pytest.mark.parametrize("samples", [1, 2])
+def test_all_files_of_an_asset_are_named(tmp_path, samples):
+    made = ["a.usda", "a.usdz", *(f"a/sample_{k}.usda" for k in range(samples))]
+    (tmp_path / "a").mkdir()
+    for name in made:
+        (tmp_path / name).touch()
+    found = asset_files(tmp_path / "a.usda", tmp_path / "a_report.html", samples)
+    assert [href for href, _, _ in found] == (made if samples > 1 else made[:2])
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +173,7 @@ def finished_run(work: Path, ball: Path, views) -> Path:
 
 def test_page_is_whole_and_self_contained(page):
     metrics, html, place = page
-    sources = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?([^"\'\s>)]*)', html)
+    sources = re.findall(r'(?:src|link[^>]*href|url)\s*[=(]\s*["\']?([^"\'\s>)]*)', html)
     assert sources and all(s.startswith("data:image/") for s in sources)
     assert not re.search(r"https?://|//[a-z]+\.|@import|<script|" + re.escape(str(place)), html)
     for s in sources:  # every picture decodes
@@ -179,8 +199,8 @@ def test_the_page_says_how_much_each_sample_counts_in_the_mean(page, page_of_one
     """Both of them err alike, each at a place of its own; where no photo judges it says that."""
     metrics, html, _ = page
     np.testing.assert_allclose(metrics["weights"], 0.5, atol=1e-3)
-    assert "In their mean sample 0 by 50 % and 1 by 50 % counts" in html
-    assert "In their mean" not in page_of_one[1]
+    assert "The mean counts sample 0 by 50 % and 1 by 50 %" in html
+    assert "The mean counts" not in page_of_one[1]
     assert "too few" in weights_words(np.full(2, 0.5), 0)
 
 
