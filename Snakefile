@@ -20,6 +20,7 @@ executors.
 import sys
 from pathlib import Path
 
+from pipeline.base.enough import AUTO, FIRST, samples_wanted
 from pipeline.base.errors import InputError
 from pipeline.run.digest import code_digest
 from pipeline.run.user import name_the_user
@@ -77,9 +78,33 @@ def command(stage, options, job=None):
     return stage_command(stage, job or stage, options, scenes.settings)
 
 
+def first_refined(scene, count):
+    """So many refined samples of a scene."""
+    return [f"work/{scene}/refine/{k}/refine.json" for k in range(count)]
+
+
 def refined(w):
-    """The refined samples of a scene."""
-    return [f"work/{w.scene}/refine/{k}/refine.json" for k in range(ask(scenes, w.scene).samples)]
+    """The refined samples of a scene: as many as configured or, with `samples: auto`, as many as
+    the stage `enough` asks for, which judges them again whenever there are more.
+    """
+    count = ask(scenes, w.scene).samples
+    if count == AUTO:
+        count, wanted = 0, FIRST
+        while wanted > count:
+            count, wanted = wanted, asked_for(w.scene, wanted)
+    return first_refined(w.scene, count)
+
+
+def asked_for(scene, count):
+    """How many samples there shall be, judged by the first `count` of them. Snakemake does not mind
+    that a file in the middle of the chain is missing as long as the files made from it are there,
+    so one that was never made is forced.
+    """
+    file = f"work/{scene}/enough/{count - 1}/enough.json"
+    if not Path(file).exists():
+        workflow.dag.forcefiles.add(file)
+    checkpoints.enough.get(scene=scene, sample=count - 1)
+    return ask(samples_wanted, Path(file))
 
 
 wildcard_constraints:
@@ -311,6 +336,29 @@ rule refine:
             f"{PROBLEM_OPTIONS} {CHOSEN_OPTION} --sample {WORK}/sample/{{wildcards.sample}} "
             f"--index {{wildcards.sample}} --out {WORK}/refine/{{wildcards.sample}}",
             job="refine_{wildcards.sample}",
+        )
+
+
+# Whether samples 0 to {sample} are enough: with `samples: auto` alone, again after every doubling.
+checkpoint enough:
+    input:
+        lambda w: first_refined(w.scene, int(w.sample) + 1),
+    output:
+        made("enough/{sample}", "enough.json"),
+    log:
+        "work/{scene}/logs/enough_{sample}.log",
+    benchmark:
+        "work/{scene}/benchmarks/enough_{sample}.tsv"
+    resources:
+        mem_mb=2000,
+    params:
+        due=settings("enough", "most_samples"),
+    shell:
+        command(
+            "enough",
+            f"--refine {WORK}/refine --index {{wildcards.sample}} "
+            f"--out {WORK}/enough/{{wildcards.sample}}",
+            job="enough_{wildcards.sample}",
         )
 
 

@@ -384,9 +384,12 @@ class Scene(Section):
 
     photos: Annotated[Path, BeforeValidator(_named)]
     preset: Literal["draft", "standard", "reference"] = "standard"
-    samples: int = Field(
-        3, ge=1, le=1000, description="posterior samples N; raising it only adds jobs"
+    samples: Annotated[int, Field(ge=1, le=1000)] | Literal["auto"] = Field(
+        3,
+        description="posterior samples N; raising it only adds jobs. auto: three, and more until "
+        "their mean base colour is known to .02 in sRGB",
     )
+    most_samples: int = Field(12, ge=3, le=1000, description="of `samples: auto`")
     capture: Capture = Capture()
     poses: Poses = Poses()
     masks: Masks = Masks()
@@ -453,6 +456,7 @@ def _explain(error: ValidationError, path: str | Path, model: Any) -> InputError
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] != "extra_forbidden":
+        key = ".".join(_named_parts(first["loc"], model))
         return InputError(
             f"{key}: {first['msg']} (it is {first.get('input')!r})", path, f"correct {key}"
         )
@@ -465,6 +469,20 @@ def _explain(error: ValidationError, path: str | Path, model: Any) -> InputError
     return InputError(
         f"unknown key '{key}'", path, nearest(str(first["loc"][-1]), model.model_fields)
     )
+
+
+def _named_parts(loc: tuple, model: Any) -> list[str]:
+    """The parts of an error's place that stand in the configuration: behind a setting that may be
+    of several types pydantic adds which of them it tried.
+    """
+    out = []
+    for part in loc:
+        field = getattr(model, "model_fields", {}).get(part)
+        if field is None and not isinstance(part, int):
+            break
+        out.append(str(part))
+        model = field.annotation if field is not None else None
+    return out
 
 
 def load_scene(path: str | Path, overrides: dict | None = None) -> Scene:

@@ -22,6 +22,8 @@ from pipeline.render.surface_texels import SurfaceTexels
 
 MEAN = "mean"  # what the samples' mean is called among an asset's variants
 FEWEST = 2  # samples that say anything of spread
+KNOWN_TO = 0.02  # standard error of the samples' mean base colour, sRGB: five steps of 8 bits
+MOST = 64  # samples that are ever said to be needed
 LEVEL = 0.8  # share of the true values that an interval is meant to hold
 HARD = 0.9  # quantile of the texels that is said beside the median
 DARKEST = 1e-4  # radiance, or luminance of base colours, below which all is black
@@ -165,6 +167,18 @@ def _sum(parts: Iterator[Parts]) -> Parts:
         for sums, part in zip(total, more):
             sums += part
     return total
+
+
+def mean_square(spread: Spread, texels: SurfaceTexels) -> float:
+    """Of the base colours' deviations, sRGB, over the channels of texels that photos show."""
+    return float((spread.color[texels.seen] ** 2).mean())
+
+
+def samples_needed(square: float) -> int:
+    """How many samples make the standard error of their mean base colour KNOWN_TO, s^2 / KNOWN_TO^2
+    for a mean square deviation s^2 (`mean_square`); between FEWEST and MOST.
+    """
+    return int(np.clip(np.ceil(square / KNOWN_TO**2), FEWEST, MOST))
 
 
 def half_widths(deviation: np.ndarray, count: int) -> tuple[float, float]:

@@ -73,6 +73,19 @@ def fit_choice(decision: dict) -> Choice:
     )
 
 
+def samples_choice(found: dict) -> list[Choice]:
+    """How many samples there are, where that was left open; else nothing."""
+    if not found:
+        return []
+    drawn, needed = found["drawn"], found["needed"]
+    why = (
+        f"their base colours differ by {found['spread']:.3f} (sRGB, root mean square), so {needed} "
+        f"give a mean that is known to {found['known_to']:.2f}"
+    )
+    chosen = f"{drawn}, as many as allowed" if needed > drawn else str(drawn)
+    return [Choice("samples", chosen, why)]
+
+
 DECISIONS = {
     "texture": texture_choice,
     "bounces": bounces_choice,
@@ -144,4 +157,4 @@ def choices(facts: dict[str, dict]) -> list[Choice]:
     for stage, fact in facts.items():
         if stage.startswith("refine") and fact.get("gloss"):
             out += gloss_choices(stage.split()[1], fact["gloss"])
-    return out
+    return out + samples_choice(facts.get("enough", {}))

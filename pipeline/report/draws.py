@@ -9,30 +9,33 @@ import numpy as np
 from pipeline.base.images import linear_to_srgb
 from pipeline.geometry.mesh_io import Mesh, unit
 from pipeline.render.draw_metrics import COMMON_ERROR
-from pipeline.render.samples import FEWEST, LEVEL, Spread, half_widths
+from pipeline.render.samples import (
+    FEWEST,
+    KNOWN_TO,
+    LEVEL,
+    Spread,
+    half_widths,
+    mean_square,
+    samples_needed,
+)
 from pipeline.render.surface_texels import SurfaceTexels
 from pipeline.surface.raster import texel_faces
 
-KNOWN_TO = 0.02  # standard error of the samples' mean base colour, sRGB: five steps of 8 bits
-MOST = 64
 SLANTED = 0.4  # mean height of unit normals below which a surface faces the sides
 SAME = 0.005  # deviation of roughness below which samples have the same
 FEW = 0.005  # of the surface: so little that no photo shows is not worth a sentence
 
 
 def color_facts(spread: Spread, texels: SurfaceTexels) -> dict:
-    """How much the samples' base colours differ where photos show the surface, sRGB: how many of
-    them make the standard error of their mean KNOWN_TO, s^2 / KNOWN_TO^2 for a root mean square
-    deviation of s over texels and channels, between FEWEST and MOST; and the half-widths of LEVEL's
-    predictive interval at the median of the texels and channels and at HARD.
+    """How much the samples' base colours differ where photos show the surface, sRGB; how many of
+    them are needed (`samples_needed`); and the half-widths of LEVEL's predictive interval at the
+    median of the texels and channels and at HARD.
     """
-    deviation = spread.color[texels.seen]
-    mean_square = float((deviation**2).mean())
-    needed = int(np.clip(np.ceil(mean_square / KNOWN_TO**2), FEWEST, MOST))
-    middle, hard = half_widths(deviation, spread.count)
+    square = mean_square(spread, texels)
+    middle, hard = half_widths(spread.color[texels.seen], spread.count)
     return {
-        "samples_needed": needed,
-        "spread": float(np.sqrt(mean_square)),
+        "samples_needed": samples_needed(square),
+        "spread": float(np.sqrt(square)),
         "known_to": KNOWN_TO,
         "color_within": middle,
         "color_within_hard": hard,

@@ -65,7 +65,7 @@ def summary(scene: Scene, facts: dict[str, dict], mean: dict | None) -> list[tup
 
     out = [
         ("preset", scene.preset),
-        ("samples", str(scene.samples)),
+        ("samples", str(facts["export"]["samples"])),
         ("photos placed", f"{facts['poses']['registered']} of {facts['poses']['photos']}"),
     ]
     if scores:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.config import Scene
+from pipeline.base.enough import AUTO, FILE
 from pipeline.base.files import atomic_path, read_json
 from pipeline.geometry.cameras import load_cameras
 from pipeline.geometry.mesh_io import load_mesh
@@ -34,13 +35,18 @@ from pipeline.report.trust import evidence, in_words, load_model, probability
 STAGES = ("capture", "poses", "masks", "mesh", "atlas", "observe", "choose", "fit")
 
 
-def stage_facts(work: Path, samples: int) -> dict[str, dict]:
-    """The metrics that every stage wrote, in order of the work."""
+def stage_facts(work: Path, auto: bool) -> dict[str, dict]:
+    """The metrics that every stage wrote, in order of the work; of as many samples as were
+    exported. auto: whether their number was left to the stage `enough`.
+    """
     facts = {s: read_json(work / s / f"{s}.json") for s in STAGES}
-    for k in range(samples):
+    export = read_json(work / "export.json")
+    for k in range(export["samples"]):
         facts[f"sample {k}"] = read_json(work / "sample" / str(k) / "sample.json")
         facts[f"refine {k}"] = read_json(work / "refine" / str(k) / "refine.json")
-    return facts | {"export": read_json(work / "export.json")}
+    if auto:
+        facts["enough"] = read_json(work / "enough" / str(export["samples"] - 1) / FILE)
+    return facts | {"export": export}
 
 
 @dataclass
@@ -67,9 +73,10 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     """Render the pictures and write `out`. Returns metrics; raises InputError when a stage's result
     is missing.
     """
-    facts = stage_facts(work, scene.samples)
+    facts = stage_facts(work, scene.samples == AUTO)
+    count = facts["export"]["samples"]
     rig = load_cameras(work / "poses" / "cameras.json")
-    explanations = Samples.of(work, scene.samples)
+    explanations = Samples.of(work, count)
 
     held = facts["observe"]["held_out"]
     view = next((v for v in rig.views if held and v.name == held[0]), rig.views[0])
@@ -98,19 +105,19 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     brightness = float(np.mean([s["mean_radiance"] for s in samples]))
     relit = relit_facts([s["relit"] for s in samples], brightness)
     certain = color_facts(spread, texels) | relit if spread else {}
-    enough = samples_words(certain, scene.samples) if certain else ""
+    enough = samples_words(certain, count) if certain else ""
     within = interval_words(certain) if certain else ""
     weights = explanations.weights
     counts = weights_words(weights, len(explanations.judged[0].pixel)) if certain else ""
     said: dict = {"trust": trust, "enough": enough, "within": within, "counts": counts}
     said["alike"] = alike_words(spread, scene.refine.gloss == "tested") if spread else ""
     said["unseen"] = unseen_words(load_mesh(work / "atlas" / "mesh_uv.ply"), texels)
-    said["files"] = asset_files(usd, out, scene.samples)
+    said["files"] = asset_files(usd, out, count)
     shown = view.name, view.name in held
     html = page(usd, scene, facts, pictures, samples, of_mean, *shown, said)
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
-    metrics = {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": scene.samples}
+    metrics = {"mib": round(len(html) / 2**20, 2), "view": view.name, "samples": count}
     metrics["unseen_share"] = texels.unseen_share
     metrics |= certain | {"weights": weights.tolist()}
     if of_mean:

@@ -22,6 +22,8 @@ def test_preset_lies_under_the_scene(tmp_path):
         ({"photos": "x", "sample": {"seed": 3}}, ["any more", "raise `samples`"]),
         ({"photos": "x", "sample": {"search_sweeps": 3}}, ["any more", "no search"]),
         ({"photos": "x", "samples": 0}, ["samples", "greater than or equal to 1"]),
+        ({"photos": "x", "samples": "all"}, ["correct samples", "'all'"]),
+        ({"photos": "x", "poses": {"min_registered": 2}}, ["poses.min_registered: Input"]),
         ({"photos": "x", "preset": "drfat"}, ["drfat", "draft"]),
         ({"photos": "x", "preset": "é" * 200}, ["unknown preset"]),
         ({"photos": "x", "preset": "../presets/draft"}, ["unknown preset", "draft"]),

@@ -438,6 +438,19 @@ def wait_for(happened, running: subprocess.Popen) -> None:
         time.sleep(0.1)
 
 
+def test_samples_are_drawn_until_they_are_enough(project, snakemake, jobs):
+    """`samples: auto`: three, and then as many as they ask for, in the same run."""
+    auto = ("exports/toy.usda", "--config", "samples=auto", "most_samples=4")
+    done = snakemake(project, *auto)
+    assert done.returncode == 0, done.stderr
+    exported = json.loads((project / "work/toy/export.json").read_text())["samples"]
+    (*_, last) = sorted((project / "work/toy/enough").iterdir())
+    found = json.loads((last / "enough.json").read_text())
+    assert found["drawn"] == found["samples"] == exported == int(last.name) + 1
+    assert exported == min(max(found["needed"], 3), 4)
+    assert jobs(project, *auto) == set()
+
+
 @pytest.mark.parametrize("name", ["-rf", "a{b}"])
 def test_names_that_cannot_be_are_refused(project, name, snakemake):
     done = snakemake(project, "-n", "--", f"exports/{name}.usda")
@@ -481,6 +494,7 @@ def test_every_stage_explains_itself():
         "fit",
         "sample",
         "refine",
+        "enough",
         "export",
         "report",
     ):

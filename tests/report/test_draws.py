@@ -44,8 +44,8 @@ def test_the_report_holds_no_more_samples_than_it_draws(work, tmp_path, monkeypa
         return found
 
     monkeypatch.setattr(Explanation, "load", classmethod(counted))
-    scene = test_report.SCENE.model_copy(update={"samples": COUNT})
-    make_report(work, Path("x.usda"), tmp_path / "r.html", scene)
+    write_json(work / "export.json", {"samples": COUNT})
+    make_report(work, Path("x.usda"), tmp_path / "r.html", test_report.SCENE)
     assert len(most) >= COUNT and max(most) <= 3
 
 

@@ -54,7 +54,6 @@ from tests.seeds import numpy_rng
 SIZE = 48
 SCENE = Scene(photos="nowhere", samples=2, preset="draft", report={"relight_size": 32, "spp": 16})
 UPPER = np.arange(16)[:, None] < np.full(16, 12)  # texels that photos show, of 16 a side
-ALONE = SCENE.model_copy(update={"samples": 1})
 FACTS = {
     "capture": {"clipped_share": 0.05},
     "poses": {"registered": 4, "photos": 5, "unregistered": ["blurred <b>"]},
@@ -125,7 +124,11 @@ def test_all_files_of_an_asset_are_named(tmp_path, samples):
 def page_of_one(page) -> tuple[dict, str]:
     """The same of the run's first sample alone."""
     *_, place = page
-    metrics = make_report(place / "work", place / "a.usda", place / "a.html", ALONE)
+    exported = place / "work" / "export.json"
+    both = read_json(exported)
+    write_json(exported, both | {"samples": 1})
+    metrics = make_report(place / "work", place / "a.usda", place / "a.html", SCENE)
+    write_json(exported, both)
     return metrics, (place / "a.html").read_text(encoding="utf-8")
 
 
@@ -143,7 +146,7 @@ def finished_run(work: Path, ball: Path, views) -> Path:
     where = {"view": np.zeros(1, int), "uv": np.zeros((1, 2)), "cosine": np.ones(1)}
     names = {"views": np.array(["v0", "v2", "v3"]), "held_out": np.array(["v1"])}
     np.savez(work / "observe" / "observations.npz", **pixel, **where, **names)
-    write_json(work / "export.json", {"seconds": 0.5})
+    write_json(work / "export.json", {"seconds": 0.5, "samples": 2})
     write_json(work / "atlas" / "atlas.json", {"utilisation": 0.6, "seconds": 2.0})
     save_cameras(work / "poses" / "cameras.json", Rig(views, np.zeros(3), 0.5, "sfm"))
     samples = [explanation(16, 8, seed=k) for k in range(2)]
@@ -202,6 +205,15 @@ def test_the_page_says_how_much_each_sample_counts_in_the_mean(page, page_of_one
     assert "The mean counts sample 0 by 50 % and 1 by 50 %" in html
     assert "The mean counts" not in page_of_one[1]
     assert "too few" in weights_words(np.full(2, 0.5), 0)
+
+
+def test_how_many_samples_were_made_is_said_where_it_was_left_open(work, tmp_path):
+    found = {"drawn": 2, "needed": 5, "samples": 2, "spread": 0.041, "known_to": 0.02}
+    write_json(work / "enough" / "1" / "enough.json", found)
+    scene = SCENE.model_copy(update={"samples": "auto"})
+    make_report(work, tmp_path / "a.usda", tmp_path / "a.html", scene)
+    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "<td>2, as many as allowed" in html and "5 give a mean that is known to 0.02" in html
 
 
 def test_a_scene_of_which_nothing_was_held_out_says_so(work, tmp_path):
@@ -402,7 +414,7 @@ def test_evening_light_comes_from_its_sun():
 def test_facts_of_the_page_are_the_stages_own(work):
     from pipeline.report.make import stage_facts
 
-    facts = stage_facts(work, 2)
+    facts = stage_facts(work, auto=False)
     assert (
         facts["refine 1"] == read_json(work / "refine" / "1" / "refine.json")
         and list(facts)[-1] == "export"

@@ -3,6 +3,7 @@
 import ast
 import json
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -510,7 +511,7 @@ def test_a_mistyped_scene_leaves_nothing_behind(project):
 def test_every_rule_states_its_memory_and_what_draws_is_on_one_thread():
     """Sums of floats in any order would make every draw another."""
     text = (ROOT / "Snakefile").read_text(encoding="utf-8")
-    rules = {part.split(":")[0]: part for part in text.split("\nrule ")[1:]}
+    rules = {part.split(":")[0]: part for part in re.split("\n(?:rule|checkpoint) ", text)[1:]}
     assert set(STAGES) <= set(rules)
     for name in STAGES:
         assert "\n        mem_mb=" in rules[name], name
