@@ -18,7 +18,7 @@ from pipeline.base.errors import InputError, run_stage
 from pipeline.base.files import write_json
 
 ORDER = ("capture", "poses", "masks", "mesh", "atlas", "observe", "choose", "fit", "sample")
-ORDER += ("refine", "export", "report")
+ORDER += ("refine", "enough", "export", "report")
 
 
 def peaks(name: str, work: Path) -> dict:
