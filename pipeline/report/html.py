@@ -1,23 +1,16 @@
 """The report's page: `page.html` and `page.css` beside this file, filled in by Jinja2. Pictures are
-inlined; there is no script and no outside address.
+inlined; the one script is the viewer's (viewer.js), and there is no outside address.
 """
 
 from __future__ import annotations
 
-import base64
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pipeline.base.config import Scene
 from pipeline.report.choices import choices
-
-
-def data_address(picture: bytes) -> str:
-    """A PNG or JPEG as a data: address."""
-    kind = "png" if picture.startswith(b"\x89PNG") else "jpeg"
-    return f"data:image/{kind};base64,{base64.b64encode(picture).decode()}"
-
+from pipeline.report.pictures import data_address
 
 HULL = (
     "the surface is the hull of the masks' outlines: hollows that no outline shows are filled, and "
@@ -102,7 +95,7 @@ def page(
     much each counts in the mean, and `within`, how far base colours may be off, all three empty for
     one sample; `unseen`, how much of the surface no photo shows, empty for hardly any; `alike`,
     that one roughness of all samples is a choice, empty where they differ; `files`, what
-    `asset_files` gives.
+    `asset_files` gives; `viewer`, what `viewer_data` does, None where the mesh is too large for it.
     """
     environment = Environment(
         loader=PackageLoader("pipeline.report", ""), autoescape=True, undefined=StrictUndefined

@@ -5,6 +5,7 @@ is not, timings.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from pipeline.report.files import asset_files
 from pipeline.report.html import page
 from pipeline.report.pictures import Painter, contact_sheet, normal_map, spread_pictures
 from pipeline.report.trust import evidence, in_words, load_model, probability
+from pipeline.report.viewer import viewer_data
 
 STAGES = ("capture", "poses", "masks", "mesh", "atlas", "observe", "choose", "fit")
 
@@ -113,6 +115,14 @@ def make_report(work: Path, usd: Path, out: Path, scene: Scene) -> dict:
     said["alike"] = alike_words(spread, scene.refine.gloss == "tested") if spread else ""
     said["unseen"] = unseen_words(load_mesh(work / "atlas" / "mesh_uv.ply"), texels)
     said["files"] = asset_files(usd, out, count)
+    named = [("mean of the samples", mean)] if mean is not None else []
+    each = ((f"sample {k}", x) for k, x in enumerate(explanations))
+    said["viewer"] = viewer_data(
+        load_mesh(work / "atlas" / "mesh_uv.ply"),
+        chain(named, each),
+        view.position - rig.center,
+        brightness,
+    )
     shown = view.name, view.name in held
     html = page(usd, scene, facts, pictures, samples, of_mean, *shown, said)
     with atomic_path(out) as temporary:

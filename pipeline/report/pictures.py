@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 from dataclasses import replace
 from pathlib import Path
@@ -27,10 +28,16 @@ BESIDE = np.array([58, 64, 76], np.uint8)  # what lies beside the charts: no map
 UNSEEN = np.uint8(128)  # and of those whose spread says nothing
 
 
-def encode(pixels: np.ndarray, kind: str = "JPEG") -> bytes:
-    """uint8 picture as JPEG (quality 88) or PNG bytes."""
+def data_address(picture: bytes) -> str:
+    """A PNG or JPEG as a data: address."""
+    kind = "png" if picture.startswith(b"\x89PNG") else "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(picture).decode()}"
+
+
+def encode(pixels: np.ndarray, kind: str = "JPEG", quality: int = 88) -> bytes:
+    """uint8 picture as JPEG or PNG bytes; quality: of a JPEG."""
     buffer = io.BytesIO()
-    options = {"quality": 88} if kind == "JPEG" else {}
+    options = {"quality": quality} if kind == "JPEG" else {}
     Image.fromarray(np.ascontiguousarray(pixels, np.uint8)).save(buffer, kind, **options)
     return buffer.getvalue()
 
