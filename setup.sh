@@ -18,7 +18,8 @@ fail() {
     exit 1
 }
 
-# Modules are compiled when they are first imported: most of the 7 GB never are
+# Modules are compiled when they are first imported, most of the 7 GB never: those in use by the
+# doctor at the end
 pip() {
     .venv/bin/python -m pip --disable-pip-version-check install --quiet --no-cache-dir --no-deps --no-compile "$@"
 }
@@ -151,5 +152,8 @@ echo "installing Heliograph itself"
 pip --no-build-isolation --editable . || fail "pip could not install this folder; its message says why"
 note pyproject.toml "$project_done"
 
+# Containers often forbid Python to keep what it compiles, for small images; then every stage and every
+# test would compile the same modules again, for one to three seconds
+unset PYTHONDONTWRITEBYTECODE
 .venv/bin/heliograph doctor
 [ -z "${1:-}" ] || alone keep

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import pkgutil
 import shutil
 import sys
 from collections.abc import Callable
-from importlib import metadata
+from importlib import import_module, metadata
 
+import pipeline
+import stages
 from pipeline import __version__
 from pipeline.base import runtime
 
@@ -39,6 +42,8 @@ STACK = (
     "usd-core",
     "xatlas",
 )
+# packages that the code imports where it needs them, or runs as a program
+LATE = ("OpenEXR", "pi_heif", "pycolmap", "pymeshlab", "snakemake.cli")
 
 
 def versions() -> list[tuple[bool, str]]:
@@ -94,10 +99,18 @@ def attempt(work: Callable[[], str], cure: str) -> tuple[bool, str]:
         return False, f"{type(error).__name__}: {error}\n     what to do: {cure}"
 
 
-def cameras() -> str:
-    import pycolmap
-
-    return f"pycolmap imports: {pycolmap.__version__}"
+def modules() -> str:
+    """Import every module of Heliograph and what those import: a library that lacks one of its own
+    fails here. Python keeps what it compiles on the way, so that no stage compiles it again.
+    """
+    found = [
+        module.name
+        for package in (pipeline, stages)
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+    ]
+    for name in [*found, *LATE]:
+        import_module(name)
+    return f"all {len(found)} modules of Heliograph import"
 
 
 def memory() -> str:
@@ -147,7 +160,7 @@ def doctor() -> bool:
             lambda: f"open3d imports: {runtime.import_open3d().__version__}",
             "pip install libusb-package",
         ),
-        attempt(cameras, "pip install --no-deps -r requirements.lock"),
+        attempt(modules, "pip install --no-deps -r requirements.lock"),
         attempt(weights, "check out weights/ again"),
         attempt(memory, "use another machine or the draft preset"),
         attempt(writable, "cd into the project; chmod u+w exports"),

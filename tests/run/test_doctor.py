@@ -31,6 +31,17 @@ def test_corrupt_weights_are_a_finding(tmp_path, monkeypatch):
     assert not good and "what to do" in text
 
 
+def test_a_library_that_does_not_load_is_a_finding(monkeypatch):
+    monkeypatch.setattr(doctor, "LATE", ("no_such_library",))
+    good, text = doctor.attempt(doctor.modules, "install it again")
+    assert not good and "no_such_library" in text and "install it again" in text
+
+
+def test_every_module_imports():
+    good, text = doctor.attempt(doctor.modules, "install it again")
+    assert good, text
+
+
 @pytest.fixture
 def quick(monkeypatch, tmp_path):
     """The doctor without its slow checks, in a folder with exports/."""
@@ -39,7 +50,7 @@ def quick(monkeypatch, tmp_path):
     monkeypatch.setattr(doctor, "render", lambda: "renders")
     monkeypatch.setattr(doctor, "weights", lambda: "loads")
     monkeypatch.setattr(doctor, "memory", lambda: "enough")
-    monkeypatch.setattr(doctor, "cameras", lambda: "imports")
+    monkeypatch.setattr(doctor, "modules", lambda: "import")
     monkeypatch.setattr(doctor, "STACK", ("numpy",))
     monkeypatch.setattr(doctor.runtime, "import_open3d", lambda: pytest)
     return tmp_path
