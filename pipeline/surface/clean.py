@@ -4,32 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import ndimage
-from skimage.measure import marching_cubes
 
 from pipeline.base.errors import InputError
 from pipeline.geometry.mesh_io import Mesh, vertex_normals
 from pipeline.geometry.voxels import Grid
+from pipeline.surface.solids import Covered, contour, whole_solids
 
 
-def largest_solid(field: np.ndarray, share: float = 0.05) -> np.ndarray:
-    """Remove solids smaller than `share` of the largest, and fill cavities that no view can see."""
-    labels, count = ndimage.label(field > 0)
-    if not count:
-        return np.minimum(field, -1e-3)
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    field = np.where((labels > 0) & (sizes[labels] < share * sizes.max()), -0.5, field)
-
-    empty, _ = ndimage.label(field <= 0)
-    ends = [0, -1]
-    border = [empty[ends].ravel(), empty[:, ends].ravel(), empty[:, :, ends].ravel()]
-    outside = np.unique(np.concatenate(border))
-    return np.where((empty > 0) & ~np.isin(empty, outside), 0.5, field)
-
-
-def to_mesh(field: np.ndarray, grid: Grid) -> Mesh:
+def to_mesh(field: np.ndarray, grid: Grid, covered: Covered | None = None) -> Mesh:
     """`zero_surface`. Raises InputError where there is none."""
-    mesh = zero_surface(field, grid)
+    mesh = zero_surface(field, grid, covered)
     if mesh is None:
         raise InputError(
             "the masks leave no volume", "mesh", "check the masks (work/<scene>/masks/overlay.jpg)"
@@ -37,19 +21,14 @@ def to_mesh(field: np.ndarray, grid: Grid) -> Mesh:
     return mesh
 
 
-def zero_surface(field: np.ndarray, grid: Grid, blur: float = 0.7) -> Mesh | None:
-    """Marching cubes of the zero surface (always closed: the field is padded with outside); None
-    where nothing is inside. blur: of the field, in cells; it evens the surface, and takes from what
-    is thin.
+def zero_surface(
+    field: np.ndarray, grid: Grid, covered: Covered | None = None, blur: float = 0.7
+) -> Mesh | None:
+    """The closed zero surface of the object's solids (`whole_solids`); None where nothing is
+    inside. blur: of the field, in cells; it evens the surface, and takes from what is thin.
     """
-    field = np.pad(largest_solid(ndimage.gaussian_filter(field, blur)), 1, constant_values=-1.0)
-    if field.max() <= 0:
-        return None
-    vertices, faces, _, _ = marching_cubes(
-        field.astype(np.float32), 0.0, gradient_direction="ascent"
-    )
-    vertices = grid.low + (vertices - 1 + 0.5) * grid.cell
-    return Mesh(vertices, faces.astype(np.int64), vertex_normals(vertices, faces))
+    whole = whole_solids(ndimage.gaussian_filter(field, blur), grid, covered)
+    return contour(whole, grid) if whole.max() > 0 else None
 
 
 class Decimation:

@@ -74,13 +74,13 @@ def build_surface(
     grid = seen.grid(settings.grid)
     field = seen.above_ground(grid, seen.hull(grid, seen.tolerance))
     if method == "hull":
-        alone = _taut(to_mesh(field, grid), seen, threads)
+        alone = _taut(to_mesh(field, grid, seen.covered), seen, threads)
         return alone, grid, {"method": method, "why": why} | facts
 
-    hull = zero_surface(field, grid)
+    hull = zero_surface(field, grid, seen.covered)
     filling = seen.above_ground(grid, seen.hull(grid, BESIDE_DEPTH[seen.given]))
     fused = fuse(grid, filling, seen.hull(grid, LOOSE), depths)
-    surface = to_mesh(seen.above_ground(grid, fused), grid)
+    surface = to_mesh(seen.above_ground(grid, fused), grid, seen.covered)
     steps = (settings.refine_steps,) * len(Refinement.scales)
     moved = _moved(surface, seen, images, Refinement(steps, plate=settings.plate), None, threads)
     facts["refinement"] = moved.facts
@@ -108,7 +108,7 @@ def _depths(
 ) -> tuple[list[Depth], float]:
     """Depth maps of all photos, and for what share of the object's pixels they have depth."""
     around = seen.grid(RANGE_GRID)
-    rough = to_mesh(seen.hull(around, LOOSE), around)
+    rough = to_mesh(seen.hull(around, LOOSE), around, seen.covered)
     views, pixels = seen.rig.views, settings.depth_pixels
     return depth_maps(views, images, rough, seen.margin, pixels, threads, seen.ground)
 

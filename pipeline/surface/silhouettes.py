@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.geometry.cameras import Rig, View
+from pipeline.geometry.mesh_io import Mesh
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import hull_points
 from pipeline.surface.clean import zero_surface
@@ -19,7 +21,7 @@ from pipeline.surface.preview import Silhouette
 TRUNCATION = 4.0  # cells
 TOLERANCES = (0.0, 0.04, 0.08, 0.12)  # shares of masks that may be wrong, of which one is chosen
 JUDGED_GRID = 128  # cells of the hulls that are compared for it
-JUDGED_SIDE = 400  # pixels of the longer side of the masks that they are compared with
+JUDGED_SIDE = 400  # pixels of the longer side of the masks that surfaces are compared with
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,18 @@ class Silhouettes:
         above = (y - self.ground - 1.5 * grid.cell) / (TRUNCATION * grid.cell)
         return np.minimum(field, above[None, :, None])
 
+    @cached_property
+    def small(self) -> list[tuple[View, np.ndarray]]:
+        """The carving views and their masks with at most JUDGED_SIDE pixels along a side."""
+        masks = [self.masks[view.name] for view in self.carving]
+        reduced_to = [reduced(mask, JUDGED_SIDE / max(mask.shape)) > 0.5 for mask in masks]
+        return [(at_size(view, mask), mask) for view, mask in zip(self.carving, reduced_to)]
+
+    def covered(self, mesh: Mesh) -> list[np.ndarray]:
+        """The pixels of every small mask that a mesh covers, bool (h, w) each."""
+        covered_in = Silhouette(mesh)
+        return [mask & covered_in(view) for view, mask in self.small]
+
 
 def silhouettes_of(rig: Rig, masks: dict, carve: Container[str], given: bool) -> Silhouettes:
     """What the masks say; carve: names of the views that may take volume away; given: all masks
@@ -88,7 +102,7 @@ def _believed(seen: Silhouettes) -> float:
     """The first of TOLERANCES after which the contradiction grows: it falls as long as wrong masks
     are outvoted, and rises as the hull grows too large.
     """
-    small = {view.name: _small(seen.masks[view.name]) for view in seen.carving}
+    small = {view.name: mask for view, mask in seen.small}
     judged = replace(seen, masks=small)
     best = TOLERANCES[0]
     least = contradiction(judged, best)
@@ -109,7 +123,8 @@ def contradiction(seen: Silhouettes, tolerance: float) -> float:
     A strict hull leaves whatever one wrong mask denies; a tolerant one is too large everywhere.
     """
     grid = seen.grid(JUDGED_GRID)
-    hull = zero_surface(seen.above_ground(grid, seen.hull(grid, tolerance)), grid, blur=0)
+    field = seen.above_ground(grid, seen.hull(grid, tolerance))
+    hull = zero_surface(field, grid, seen.covered, blur=0)
     if hull is None:
         return np.inf
     covered_in = Silhouette(hull)
@@ -122,11 +137,6 @@ def contradiction(seen: Silhouettes, tolerance: float) -> float:
         wrong += float(((covered_in(view) != mask) & (away > cell)).sum())
         total += float(mask.sum())
     return wrong / max(total, 1.0)
-
-
-def _small(mask: np.ndarray) -> np.ndarray:
-    """A mask (h, w) bool with at most JUDGED_SIDE pixels along a side."""
-    return reduced(mask, JUDGED_SIDE / max(mask.shape)) > 0.5
 
 
 def coarse_hull(rig: Rig, masks: dict) -> tuple[np.ndarray, float]:

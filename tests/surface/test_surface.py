@@ -9,7 +9,7 @@ from pipeline.geometry.mesh_io import Mesh, load_mesh, normal_wobble, save_mesh,
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import agreement, hull_points
 from pipeline.surface.atlas import judge, make_atlas
-from pipeline.surface.clean import Decimation, facts, largest_solid, signed_volume, to_mesh
+from pipeline.surface.clean import Decimation, facts, signed_volume, to_mesh
 from pipeline.surface.depth import Depth
 from pipeline.surface.field import hull_of
 from pipeline.surface.fusion import fuse
@@ -104,17 +104,8 @@ def test_fusing_a_nearer_surface_carves_the_hull(sphere):
         facing = np.broadcast_to(np.float32([0, 0, -1]), (*depth.shape, 3))
         count = np.full(depth.shape, 3, np.float32)
         depths.append(Depth(v, depth.astype(np.float32), facing, count))
-    mesh = to_mesh(largest_solid(fuse(grid, hull, hull, depths)), grid)
+    mesh = to_mesh(fuse(grid, hull, hull, depths), grid)
     assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - 0.35) < 0.03
-
-
-def test_small_solids_and_hidden_cavities_go():
-    field = -np.ones((20, 20, 20), np.float32)
-    field[4:16, 4:16, 4:16] = 1
-    field[9:11, 9:11, 9:11] = -1
-    field[0:2, 0:2, 0:2] = 1
-    clean = largest_solid(field)
-    assert (clean[9:11, 9:11, 9:11] > 0).all() and (clean[0:2, 0:2, 0:2] < 0).all()
 
 
 def test_meshes_survive_the_disk(tmp_path, ball):
