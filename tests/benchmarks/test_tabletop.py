@@ -1,0 +1,62 @@
+"""Photos on a table: the thing stands on it, and the true cameras see it where the photos do."""
+
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks import tabletop
+from benchmarks.tabletop import SIZE, Setting, of_matt, photograph, placed
+from examples import make_garden
+from pipeline.base.files import read_json
+from pipeline.base.images import write_exr, write_png
+from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, View
+from pipeline.geometry.mesh_io import load_mesh
+from pipeline.surface.preview import Silhouette
+
+
+@pytest.fixture
+def asset(tmp_path, ball):
+    """A red, matt ball without metal, as a folder."""
+    folder = tmp_path / "asset"
+    folder.mkdir()
+    shutil.copy(ball / "mesh_uv.ply", folder / "mesh.ply")
+    write_png(folder / "base_color.png", np.broadcast_to([220, 10, 10], (4, 4, 3)))
+    write_png(folder / "roughness.png", np.full((4, 4), 255))
+    write_png(folder / "metallic.png", np.zeros((4, 4)))
+    return folder
+
+
+def test_a_thing_stands_on_the_table_upright(asset):
+    """Its longest side is SIZE, its lowest point touches, z-up became y-up."""
+    mesh = load_mesh(asset / "mesh.ply")
+    mesh.vertices[:] = mesh.vertices * [1, 1, 2] + [3, 4, 5]  # twice as high as wide, elsewhere
+    on_table, matrix = placed(mesh)
+    low, high = on_table.vertices.min(0), on_table.vertices.max(0)
+    assert abs(low[1]) < 1e-6 and abs(high[1] - SIZE) < 1e-6
+    np.testing.assert_allclose((low + high)[[0, 2]], 0, atol=1e-6)
+    assert abs((high - low)[0] - SIZE / 2) < 0.02 * SIZE
+    moved = mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+    np.testing.assert_allclose(moved, on_table.vertices, atol=1e-9)
+
+
+def test_the_true_cameras_see_the_thing_where_the_photos_do(tmp_path, asset, monkeypatch):
+    monkeypatch.setattr(tabletop, "PHOTOS", 2)
+    monkeypatch.setattr(tabletop, "SPP", 4)
+    light = tmp_path / "even.exr"
+    write_exr(light, np.ones((8, 16, 3), np.float32))
+    grey = lambda rng: of_matt(np.full((4, 4, 3), 0.4), 0.9)
+    out = tmp_path / "scene"
+    photograph(asset, light, Setting("even", grey, 1), out)
+
+    shown = Silhouette(load_mesh(out / "truth" / "mesh.ply"))
+    width, height = make_garden.WIDTH, make_garden.HEIGHT
+    focal = make_garden.FOCAL_35 / 36 * width
+    for frame in read_json(out / "truth" / "cameras.json")["frames"]:
+        pose = np.linalg.inv(np.array(frame["transform_matrix"]) @ OPENCV_FROM_OPENGL)
+        view = View("v", "", width, height, focal, focal, width / 2, height / 2, pose)
+        photo = np.asarray(Image.open(out / frame["file_path"])).astype(int)
+        red = photo[..., 0] > 2 * photo[..., 1]
+        covered = shown(view)
+        assert (red & covered).sum() > 0.9 * (red | covered).sum()
