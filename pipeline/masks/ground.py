@@ -149,12 +149,18 @@ def pixel_ground(view: View, rig: Rig, height: float, size: tuple[int, int]) -> 
 
 
 def sphere_region(view: View, rig: Rig, size: tuple[int, int]) -> np.ndarray:
-    """Pixels (h, w) whose ray passes within 1.1 radii of the object's centre."""
-    o, d = pixel_rays(view, size)
-    to_center = rig.center - o
-    along = (to_center * d).sum(-1)
-    across = np.sqrt(np.maximum((to_center**2).sum(-1) - along**2, 0))
-    return across < 1.1 * rig.radius
+    """Pixels (h, w) whose ray passes within 1.1 radii of the object's centre.
+
+    Of a ray r = (x, y, 1) from the camera and the centre c in its frame, the squared distance is
+    |c|^2 - (r c)^2 / |r|^2, in which r c and |r|^2 are sums of a column's part and a row's.
+    """
+    w, h = size
+    x = ((np.arange(w) + 0.5) * view.width / w - view.cx) / view.fx
+    y = ((np.arange(h) + 0.5) * view.height / h - view.cy) / view.fy
+    center = view.world_to_camera[:3] @ np.append(rig.center, 1)
+    along = np.add.outer(center[1] * y, center[0] * x + center[2])
+    square = np.add.outer(y**2, x**2 + 1)
+    return center @ center - along**2 / square < (1.1 * rig.radius) ** 2
 
 
 def footprint(rig: Rig, points: np.ndarray, cell: float, spread: np.ndarray) -> np.ndarray:
