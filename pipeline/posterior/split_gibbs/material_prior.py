@@ -37,8 +37,11 @@ TINTS = np.array([[1, 0, -1], [-1, 2, -1]]) / np.sqrt([[2], [6]])
 # mean and width along them: gold and copper are the most saturated metals
 DIELECTRIC_TINT = np.array([0.15, 0.0]), np.array([0.5, 0.3])
 METAL_TINT = np.array([0.1, 0.0]), np.array([0.3, 0.1])
-# no bare metal is beyond gold, copper or zinc; dyed ones are, and fall off with this width
+# no bare metal is beyond gold, copper or zinc: tints fall off with this width
 METAL_TINTS, DYED = (np.array([-0.3, -0.3]), np.array([0.9, 0.3])), 0.15
+# but coated ones are of any tint, candy paint or anodised: one of the 32 measured metals. Their
+# density beside that of bare ones, whose tints are spread a tenth as wide
+COATED = 0.005
 # share of the variances that all regions of an object have in common
 COMMON = 0.5
 # degrees of freedom of Student's t: black paint, dyes and tarnish are far out
@@ -100,11 +103,14 @@ def log_roughness(roughness: tuple[float, ...]) -> np.ndarray:
 
 
 def unlike_metal(color: np.ndarray) -> np.ndarray:
-    """What speaks against colours (R, 3) as metals beside Student's t, (R,): too dark, or dyed."""
+    """What speaks against colours (R, 3) as metals beside Student's t, (R,): too dark, or dyed, of
+    which a coating may be the cause.
+    """
     darker = np.minimum(np.log(color.max(1) / DARKEST_METAL), 0) / FALL
     tint = np.log(color + BLACK) @ TINTS.T
     dyed = (tint - np.clip(tint, *METAL_TINTS)) / DYED
-    return 0.5 * (darker**2 + (dyed**2).sum(1))
+    bare = np.exp(-0.5 * (dyed**2).sum(1))
+    return 0.5 * darker**2 - np.log(COATED + (1 - COATED) * bare)
 
 
 def log_own_prior(materials: RegionMaterials, roughness: tuple[float, ...]) -> np.ndarray:

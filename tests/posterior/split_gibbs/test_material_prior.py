@@ -11,6 +11,7 @@ from pipeline.posterior.split_gibbs.lobes import METALLIC
 from pipeline.posterior.split_gibbs.material_prior import (
     BLACK,
     BODY,
+    COATED,
     DIELECTRIC,
     DIELECTRIC_TINT,
     KIND_SHARE,
@@ -87,6 +88,13 @@ def test_no_bare_metal_is_dark_or_dyed():
     assert unlike_metal(bare).max() < 0.2
     lemon, paint, soot = [0.617, 0.366, 0.045], [0.0, 0.19, 0.02], [0.04, 0.04, 0.04]
     assert (unlike_metal(np.array([lemon, paint, soot])) > 5).all()
+
+
+def test_a_coated_metal_is_rare_and_not_ruled_out():
+    """Anodised red and candy green cost as much as coatings are rare, however far out they are."""
+    red, green = measured("1")["Aluminum (Anodized Red)"], np.array([0.01, 0.19, 0.01])
+    against = unlike_metal(np.array([red, green]))
+    np.testing.assert_allclose(against, -np.log(COATED), atol=0.01)
 
 
 def test_shares_and_roughness_are_probabilities():
