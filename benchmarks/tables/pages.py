@@ -27,6 +27,7 @@ from benchmarks.tables import (
     priors,
     real_sets,
     scenes,
+    tabletop,
 )
 from benchmarks.tables.committed import results, rows_of, source
 from benchmarks.work import tables as work_tables
@@ -96,6 +97,7 @@ TABLES: dict[str, Callable[[], str]] = {
     **hardening.TABLES,
     **means.TABLES,
     **from_photos.TABLES,
+    **tabletop.TABLES,
     **study_pages.TABLES,
     **{name: stability_table(make, "stability") for name, make in stability.TABLES.items()},
     "stability_s_limits": stability_table(stability.breaking_points, "stability_s"),
