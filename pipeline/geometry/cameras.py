@@ -120,6 +120,19 @@ class Rig:
         """The scene as it is known without the views that are kept for scoring."""
         return replace(self, views=self.fit_views())
 
+    def about(self, center: np.ndarray, radius: float) -> Rig:
+        """The scene with another sphere that the object lies in: centre (3,) and radius."""
+        return replace(self, center=np.asarray(center, float), radius=float(radius))
+
+    def holding(self, points: np.ndarray) -> Rig:
+        """The scene with a sphere that holds points (n, 3): its own where it does, else the one
+        about the middle of their box.
+        """
+        if (np.linalg.norm(points - self.center, axis=1) <= self.radius).all():
+            return self
+        center = 0.5 * (points.min(0) + points.max(0))
+        return self.about(center, np.linalg.norm(points - center, axis=1).max())
+
 
 def save_cameras(path: str | Path, rig: Rig) -> None:
     """Write cameras.json."""

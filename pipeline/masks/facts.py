@@ -15,12 +15,16 @@ FILE = "given.json"
 @dataclass(frozen=True)
 class MaskFacts:
     """all_given: whether every mask is the user's own; given: names of the views whose mask is;
-    carving: of those whose mask agrees with the others, and so may take volume away.
+    carving: of those whose mask agrees with the others, and so may take volume away; center (3,)
+    and radius: the sphere that the object lies in, which the masks may have shown to be wider than
+    matched points did (sphere.py).
     """
 
     all_given: bool
     given: tuple[str, ...]
     carving: tuple[str, ...]
+    center: tuple[float, ...]
+    radius: float
 
     def save(self, folder: Path) -> None:
         """Write given.json into the folder of the masks stage."""
@@ -36,4 +40,6 @@ class MaskFacts:
             bool(json_entry(file, "all_given")),
             tuple(json_entry(file, "given")),
             tuple(json_entry(file, "carving")),
+            tuple(json_entry(file, "center")),
+            float(json_entry(file, "radius")),
         )

@@ -23,6 +23,7 @@ from pipeline.masks.agreement import LEAST_AGREEMENT, agreement
 from pipeline.masks.automatic import plane_masks
 from pipeline.masks.facts import MaskFacts
 from pipeline.masks.network import network_masks
+from pipeline.masks.sphere import in_a_sphere_that_holds
 
 USUAL_AGREEMENT = 0.85  # mean agreement below which automatic masks are doubtful
 # masks whose rim is white to this part, and which are not white all over, are the wrong way round
@@ -162,6 +163,8 @@ def said_of_things(facts: dict) -> list[str]:
             "the photos' middles do not show what was taken for the object (they miss it by "
             f"{100 * miss:.0f} % of its radius in the median): {LOOK}"
         )
+    if facts.get("sphere_widened", 1.0) is None:
+        out.append(f"what was taken for the object ends nowhere near it: {LOOK}")
     return out
 
 
@@ -171,7 +174,8 @@ def make_masks(poses: Path, out: Path, settings: Masks, threads: int) -> dict:
     """
     rig = load_cameras(poses / "cameras.json").training()
     method = choose(poses, rig, settings)
-    masks, facts = MASKERS[method](poses, rig, settings, threads)
+    make = lambda scene: MASKERS[method](poses, scene, settings, threads)
+    rig, (masks, facts) = in_a_sphere_that_holds(rig, make)
 
     confidence = agreement(rig, masks)
     hidden_in = facts.get("hidden_in", [])
@@ -188,7 +192,8 @@ def make_masks(poses: Path, out: Path, settings: Masks, threads: int) -> dict:
     for v in rig.views:
         write_png(out / "masks" / f"{v.name}.png", masks[v.name] * np.uint8(255))
     carving = tuple(name for name, c in confidence.items() if c["carve"])
-    MaskFacts(method == "given", tuple(facts.get("given", [])), carving).save(out)
+    given = tuple(facts.get("given", []))
+    MaskFacts(method == "given", given, carving, tuple(rig.center), rig.radius).save(out)
     write_json(out / "confidence.json", confidence)
     write_png(out / "overlay.jpg", overlay(poses, rig, masks))
 

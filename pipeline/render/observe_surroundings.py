@@ -91,11 +91,13 @@ def find_surroundings(
     if not shown or np.concatenate(shown).mean() < BLACK:
         return Surroundings(), {"surroundings": "none: the photos show nothing but the object"}
 
+    surface = load_mesh(mesh).vertices
+    rig = rig.holding(surface)
     plane = rig.facts.get("plane")
     ground, sightings = None, None
     facts: dict = {}
     if settings.ground:
-        bottom = float(load_mesh(mesh).vertices[:, 1].min())
+        bottom = float(surface[:, 1].min())
         ground, facts = find_ground(rig, looks, plane, bottom)
     if ground is not None:
         sightings = floor(ground, rig.center)

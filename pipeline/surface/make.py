@@ -41,6 +41,7 @@ def reconstructed(
 ) -> tuple[Mesh, dict]:
     """The surface from masks and photos before decimation, and facts about how it was made."""
     known = MaskFacts.load(masks_folder)
+    rig = rig.about(np.array(known.center), known.radius)
     masks = {v.name: read_png(masks_folder / "masks" / f"{v.name}.png") > 127 for v in rig.views}
     seen = silhouettes_of(rig, masks, known.carving, known.all_given)
     images = grey_photos(rig, poses)
