@@ -3,8 +3,8 @@
 hull: soft visual hull, drawn taut over the masks' outlines (taut.py). fused: where depth maps
 stand, they make the surface; the hull does elsewhere. Both end in marching cubes, always closed.
 The fused one then moves to where photos agree (photometric.py), and has to earn its place: it is
-taken where it predicts photos that were left out better than the hull, and fills the masks that
-were given (prediction.py). Only then is it drawn to the edges of given masks too (outlines.py):
+taken where it predicts photos that were left out better than the hull, and fills the masks
+(prediction.py). Only then is it drawn to the edges of given masks too (outlines.py):
 that helps noise as much as a surface. Masks that were made may hold ground, which depth tells from
 the object.
 """
@@ -165,8 +165,7 @@ def _trusted(settings: MeshSettings, share: float | None) -> tuple[str, str]:
 def _judged(found: Gain, given: bool) -> tuple[bool, str]:
     """Whether the fused surface is taken, by its `gain` over the hull, and why in plain words.
 
-    given: the masks are the user's own, so that it has to fill them. Masks that were made may hold
-    ground, which depth tells from the object.
+    given: the masks are the user's own.
     """
     share = f"{100 * abs(found.share):.1f} % ± {100 * found.standard_error:.1f}"
     if not found.clear(given):
@@ -176,7 +175,7 @@ def _judged(found: Gain, given: bool) -> tuple[bool, str]:
             f"({share} {less}), so the hull is taken"
         )
     words = f"the fused surface predicts photos left out better than the hull, by {share}"
-    if given and not found.fills:
-        empty = f"{100 * found.empty:.0f} % of what the hull fills of the given masks"
+    if not found.fills:
+        empty = f"{100 * found.empty:.0f} % of what the hull fills of the masks"
         return False, f"{words}, but leaves {empty} empty, so the hull is taken"
     return True, words

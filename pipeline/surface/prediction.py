@@ -30,8 +30,10 @@ CLEAR = 2.0  # standard errors by which the richer surface has to predict better
 # errors of those masks as well, and is the worse surface at less: a brass head's depth saves 8 %
 # of the error, and its asset predicts held-out photos better by a decibel.
 WORTH = {True: 0.15, False: 0.05}
-# share of the outline that the rich surface may leave empty: it leaves 22 % on a figure of brushed
-# metal, 1 % on the corset and the toy of bricks
+# share of the outline that the rich surface may leave empty. Depth of what mirrors lies behind the
+# surface and carves it: 22 % are left empty on a figure of brushed metal, 16 % on a glossy head
+# whose masks were made. Of masks that were made depth tells what ground they hold, 6 % on a corset
+# that stands in its shadow. 1 % on the corset and the toy of bricks whose masks were given
 EMPTY = 0.1
 LEAST = (1 / 255) ** 2 / 12  # squared error that rounding to eight bits leaves a pixel
 

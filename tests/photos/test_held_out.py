@@ -45,7 +45,7 @@ def two_halves(count: int, bridges: list[int]) -> np.ndarray:
     """Points in common of photos in two halves, all of either alike; `bridges` show both."""
     half = np.arange(count) < count // 2
     matches = np.where(half[:, None] == half, 200, 0)
-    matches[bridges] = matches[:, bridges] = 40
+    matches[bridges] = matches[:, bridges] = 80
     np.fill_diagonal(matches, 0)
     return matches
 
@@ -64,6 +64,20 @@ def test_photos_that_match_well_are_held_out_as_without_matches():
     marked = photos(30)
     well = np.full((30, 30), 500)
     assert held(hold_out(marked, Observe(), well)) == held(hold_out(marked, Observe()))
+
+
+def test_photos_that_would_be_placed_badly_are_held_out_last():
+    few = np.full((20, 20), 200)
+    badly = [3, 7, 8, 15, 19]
+    few[badly] = few[:, badly] = 50
+    np.fill_diagonal(few, 0)
+    for share in (0.1, 0.5):
+        out = held(hold_out(photos(20), Observe(held_out=share), few))
+        assert len(out) == round(share * 20)
+        assert not set(out) & {f"v{k}" for k in badly}
+
+    all_badly = np.where(few > 0, 50, 0)
+    assert len(held(hold_out(photos(20), Observe(held_out=0.5), all_badly))) == 10
 
 
 def test_a_chain_gives_its_ends_only():

@@ -100,10 +100,11 @@ def test_large_photos_are_looked_at_smaller(ring, monkeypatch):
     assert found.clear(given=True)
 
 
-def test_a_fused_surface_has_to_predict_better_and_to_fill_the_masks_that_were_given():
+def test_a_fused_surface_has_to_predict_better_and_to_fill_the_masks():
     caved = Gain(share=0.3, standard_error=0.04, photos=40, empty=0.16)
-    taken, words = _judged(caved, given=True)
-    assert not taken and "16 % of what the hull fills" in words
-    assert _judged(caved, given=False)[0]
+    for given in (True, False):
+        taken, words = _judged(caved, given)
+        assert not taken and "16 % of what the hull fills" in words
+        assert _judged(replace(caved, empty=0.06), given)[0]
     assert _judged(replace(caved, empty=0.05), given=True)[0]
     assert not _judged(replace(caved, empty=0.05, share=0.06), given=True)[0]
