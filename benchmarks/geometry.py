@@ -8,9 +8,9 @@ python -m benchmarks.geometry --mesh work/garden/atlas/mesh_uv.ply \\
 The reconstruction is brought into the truth's frame by the similarity between camera centres
 (Umeyama 1991). Where cameras were not given, a few steps of ICP on mutually near points follow,
 because poses and surface may differ by a small rigid motion. Under the true cameras there is none,
-and ICP would shift a surface whose truth has layers behind it. `--above` leaves out truth surface
-below that height: the underside, which no photo shows. Normals are compared in the cameras' pixels
-(`benchmarks.normals`).
+and ICP would shift a surface whose truth has layers behind it. `--above` leaves out what lies below
+that height, in ICP too: the underside, which no photo shows. Normals are compared in the cameras'
+pixels (`benchmarks.normals`).
 """
 
 from __future__ import annotations
@@ -180,14 +180,14 @@ def compare(
     a = to_truth.points(sample_surface(mesh, points, rng)[0])
     b = sample_surface(truth, 2 * points, rng)[0]
     b = b[outer(truth, b)]
+    b = b[b[:, 1] > above]
 
     extent = np.ptp(truth.vertices, axis=0)
     if np.median(camera_error) > SAME * extent.max():
-        motion = icp(a, b, 0.02 * float(np.linalg.norm(extent)))
+        motion = icp(a[a[:, 1] > above], b, 0.02 * float(np.linalg.norm(extent)))
         to_truth = to_truth.then(motion)
         a = motion.points(a)
     a = a[a[:, 1] > above]
-    b = b[b[:, 1] > above]
     accuracy = cKDTree(b).query(a)[0]
     completeness = cKDTree(a).query(b)[0]
 

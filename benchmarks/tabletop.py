@@ -9,7 +9,8 @@ them (examples/make_garden.py), and truth/, which no stage reads. Then the whole
 
 A row: the figures of `benchmarks.real_sets` (photos placed, surface, held-out views, lit and unlit)
 and under `truth` errors of surface, normals and cameras (`benchmarks.geometry`). A set that fails
-leaves a row that says so.
+leaves a row that says so. With --finished WORK the runs of another checkout's work/ are scored, by
+the code at hand.
 """
 
 from __future__ import annotations
@@ -162,9 +163,8 @@ def photograph(asset: Path, light: Path, setting: Setting, out: Path) -> None:
         write_json(partial / "truth" / "cameras.json", {"frames": frames})
 
 
-def row_of(folder: Path) -> dict:
-    """The row of a finished run."""
-    work = ROOT / "work" / folder.name
+def row_of(folder: Path, work: Path) -> dict:
+    """The row of a finished run, whose stages lie in `work`."""
     true = folder / "truth" / "mesh.ply", folder / "truth" / "cameras.json"
     found = work / "atlas" / "mesh_uv.ply", work / "poses" / "cameras.json"
     return figures(folder, work) | {"truth": compare(*found, *true, above=UNDERSIDE)}
@@ -178,6 +178,7 @@ def main() -> None:
     parser.add_argument("--lights", type=Path, required=True)
     parser.add_argument("--folder", type=Path, required=True, help="for the photos")
     parser.add_argument("--things", default=",".join(THINGS), help="names with commas between")
+    parser.add_argument("--finished", type=Path, help="a work/ whose runs are scored as they are")
     parser.add_argument("--preset", default="draft")
     parser.add_argument("--samples", type=int, default=2)
     parser.add_argument("--out", type=Path, required=True, help="JSON file for all rows")
@@ -192,8 +193,9 @@ def main() -> None:
         if not (folder / "images").exists():
             photograph(args.assets / name, args.lights / f"{setting.light}.exr", setting, folder)
         try:
-            run(folder, args.preset, args.samples, [])
-            rows.append(row_of(folder))
+            if args.finished is None:
+                run(folder, args.preset, args.samples, [])
+            rows.append(row_of(folder, (args.finished or ROOT / "work") / folder.name))
         except subprocess.CalledProcessError:
             said = failure(ROOT / "work" / folder.name / "logs")
             rows.append({"scene": folder.name, "failed": said})

@@ -106,6 +106,29 @@ def test_a_true_mesh_has_no_error(tmp_path, ball, ring):
     assert found["chamfer_percent_of_diagonal"] == pytest.approx(2 / 3**0.5, rel=0.1)
 
 
+def test_what_lies_below_shifts_nothing(tmp_path, ball, ring):
+    """A ball on whose underside a shallow foot stands in place of the cap."""
+    views = ring(6)
+    rng = numpy_rng(0)
+    frames = []
+    for view in views:
+        pose = np.linalg.inv(view.world_to_camera)
+        pose[:3, 3] += rng.normal(0, 1e-3, 3)
+        frames.append({"file_path": f"images/{view.name}.png", "transform_matrix": pose.tolist()})
+    save_cameras(tmp_path / "cameras.json", Rig(views, np.zeros(3), 0.6, "sfm"))
+    (tmp_path / "truth.json").write_text(json.dumps({"frames": frames}))
+
+    true = load_mesh(ball / "mesh.ply")
+    low = true.vertices[:, 1] < -0.25
+    raised = true.vertices + np.where(low, 0.02, 0)[:, None] * [0, 1, 0]
+    save_mesh(tmp_path / "found.ply", Mesh(raised, true.faces, true.normals))
+    files = (ball / "mesh.ply", tmp_path / "truth.json")
+    here = (tmp_path / "found.ply", tmp_path / "cameras.json")
+    whole = compare(*here, *files, points=30_000)
+    above = compare(*here, *files, above=-0.15, points=30_000)
+    assert above["accuracy_median_percent"] < 0.6 * whole["accuracy_median_percent"]
+
+
 def test_pictures_of_normals(tmp_path, ball, ring):
     """Blender's pictures of a ball, as NeRF-synthetic scenes have them, fit the ball's mesh."""
     views = ring(6, 96)
