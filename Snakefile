@@ -13,8 +13,8 @@ when the job fails. That such a job is due nevertheless is noted by its command
 (`stage_command` in pipeline/run/workflow.py).
 
 `mem_mb` of a rule is at least one and a half times the largest peak that its stage had in benchmarks
-(benchmarks/results/work.json, scenes.json): for `snakemake --resources mem_mb=...` and cluster
-executors.
+(benchmarks/results/memory.json, work.json, scenes.json): for `snakemake --resources mem_mb=...` and
+cluster executors.
 """
 
 import sys
@@ -302,7 +302,7 @@ rule sample:
         "work/{scene}/benchmarks/sample_{sample}.tsv"
     threads: 1
     resources:
-        mem_mb=2000,
+        mem_mb=3500,
     params:
         due=settings("sample", "sample", "render"),
     shell:

@@ -176,6 +176,9 @@ def make_masks(poses: Path, out: Path, settings: Masks, threads: int) -> dict:
     method = choose(poses, rig, settings)
     make = lambda scene: MASKERS[method](poses, scene, settings, threads)
     rig, (masks, facts) = in_a_sphere_that_holds(rig, make)
+    if (facts["sphere_widened"] or 1.0) > 1:
+        by = facts["sphere_widened"]
+        facts["why"] += f"; in a sphere {by:.1f} times that of the matched points, which cut them"
 
     confidence = agreement(rig, masks)
     hidden_in = facts.get("hidden_in", [])

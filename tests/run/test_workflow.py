@@ -19,7 +19,7 @@ from snakemake.utils import format as snakemake_format
 
 from pipeline.base.config import load_scene
 from pipeline.base.errors import InputError
-from pipeline.base.files import stage_folder
+from pipeline.base.files import read_json, stage_folder
 from pipeline.base.locks import lock
 from pipeline.prior.locate import prior_files
 from pipeline.run import digest
@@ -508,12 +508,23 @@ def test_a_mistyped_scene_leaves_nothing_behind(project):
     assert not os.path.exists("work")
 
 
+def largest_peak(stage: str) -> float:
+    """GiB that a stage took in the rows of `benchmarks.memory`, less the oldest version's, whose
+    stages held all photos.
+    """
+    rows = read_json(ROOT / "benchmarks" / "results" / "memory.json")["data"]["rows"]
+    return max(
+        row["peak_gib"].get(stage, 0.0) for row in rows if not row["name"].endswith("4747f7f")
+    )
+
+
 def test_every_rule_states_its_memory_and_what_draws_is_on_one_thread():
     """Sums of floats in any order would make every draw another."""
     text = (ROOT / "Snakefile").read_text(encoding="utf-8")
     rules = {part.split(":")[0]: part for part in re.split("\n(?:rule|checkpoint) ", text)[1:]}
     assert set(STAGES) <= set(rules)
     for name in STAGES:
-        assert "\n        mem_mb=" in rules[name], name
+        stated = re.findall(r"\n        mem_mb=(\d+),", rules[name])
+        assert len(stated) == 1 and int(stated[0]) >= 1.5 * 1024 * largest_peak(name), name
     for name in ("fit", "sample", "refine"):
         assert "threads: 2" not in rules[name], name
