@@ -163,6 +163,12 @@ def said_of_things(facts: dict) -> list[str]:
             "the photos' middles do not show what was taken for the object (they miss it by "
             f"{100 * miss:.0f} % of its radius in the median): {LOOK}"
         )
+    if "larger_than_points" in facts:
+        by = facts["larger_than_points"]
+        out.append(
+            f"the object is {by:.1f} times as large as its matched points say, and so is the asset "
+            f"where poses.object_size is given: to have that size, give {1 / by:.2f} of it"
+        )
     if facts.get("sphere_widened", 1.0) is None:
         out.append(f"what was taken for the object ends nowhere near it: {LOOK}")
     return out

@@ -10,6 +10,7 @@ from pipeline.masks.facts import MaskFacts
 from pipeline.masks.ground import sphere_region
 from pipeline.masks.make import make_masks, said_of_things
 from pipeline.masks.sphere import in_a_sphere_that_holds
+from pipeline.photos.object_sphere import MARGIN
 from pipeline.surface.make import reconstructed
 from tests.masks.conftest import PAINTS
 
@@ -41,6 +42,8 @@ def test_a_sphere_that_is_too_small_is_widened_and_the_surface_is_whole(make_tab
     known = MaskFacts.load(out)
     assert facts["sphere_widened"] == pytest.approx(known.radius / SMALL)
     assert np.linalg.norm(known.center) + RADIUS < known.radius
+    assert facts["larger_than_points"] > 0.95 * RADIUS / (SMALL / MARGIN)
+    assert len(facts["warnings"]) == 1 and "poses.object_size" in facts["warnings"][0]
 
     mesh, _ = reconstructed(rig, folder, out, Mesh(method="hull", grid=48), 1)
     sideways = np.abs(mesh.vertices).max(0)[[0, 2]]  # no photo looks at the ball from below
