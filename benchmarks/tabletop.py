@@ -7,10 +7,10 @@ light, ENVMAPS/<light>.exr. FOLDER/<asset>_table gets its photos, as a hand-held
 them (examples/make_garden.py), and truth/, which no stage reads. Then the whole chain runs, at
 `draft`. What exists already is not made again.
 
-A row: the figures of `benchmarks.real_sets` (photos placed, surface, held-out views, lit and unlit)
-and under `truth` errors of surface, normals and cameras (`benchmarks.geometry`). A set that fails
-leaves a row that says so. With --finished WORK the runs of another checkout's work/ are scored, by
-the code at hand.
+A row: the figures of `benchmarks.real_sets` (photos placed, surface, held-out views lit and unlit),
+under `truth` errors of surface, normals and cameras (`benchmarks.geometry`) and under `silhouettes`
+those of the masks (`benchmarks.masks`). A set that fails leaves a row that says so. With
+--finished WORK the runs of another checkout's work/ are scored, by the code at hand.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.geometry import compare
+from benchmarks.masks import mask_errors
 from benchmarks.real_sets import failure, figures
 from benchmarks.scenes import ROOT, machine, run
 from examples import make_garden
@@ -33,7 +34,7 @@ from pipeline.base.files import read_json, stage_folder, write_json
 from pipeline.base.images import read_exr
 from pipeline.base.progress import progress
 from pipeline.base.runtime import mitsuba as mi
-from pipeline.geometry.cameras import Y_FROM_Z_UP
+from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP, View
 from pipeline.geometry.mesh_io import Mesh, load_mesh, save_mesh, vertex_normals
 
 SIZE = 0.26  # metres: the thing's longest side
@@ -163,11 +164,26 @@ def photograph(asset: Path, light: Path, setting: Setting, out: Path) -> None:
         write_json(partial / "truth" / "cameras.json", {"frames": frames})
 
 
+def true_views(folder: Path) -> list[View]:
+    """The true cameras of a scene folder's photos, at the photos' size."""
+    width, height = make_garden.WIDTH, make_garden.HEIGHT
+    focal = make_garden.FOCAL_35 / 36 * width
+    out = []
+    for frame in read_json(folder / "truth" / "cameras.json")["frames"]:
+        pose = np.linalg.inv(np.array(frame["transform_matrix"]) @ OPENCV_FROM_OPENGL)
+        file = frame["file_path"]
+        middle = width / 2, height / 2
+        out.append(View(Path(file).stem, file, width, height, focal, focal, *middle, pose))
+    return out
+
+
 def row_of(folder: Path, work: Path) -> dict:
     """The row of a finished run, whose stages lie in `work`."""
     true = folder / "truth" / "mesh.ply", folder / "truth" / "cameras.json"
     found = work / "atlas" / "mesh_uv.ply", work / "poses" / "cameras.json"
-    return figures(folder, work) | {"truth": compare(*found, *true, above=UNDERSIDE)}
+    masks = mask_errors(work / "masks" / "masks", load_mesh(true[0]), true_views(folder))
+    truth = compare(*found, *true, above=UNDERSIDE)
+    return figures(folder, work) | {"truth": truth, "silhouettes": masks}
 
 
 def main() -> None:

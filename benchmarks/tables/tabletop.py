@@ -8,6 +8,7 @@ from benchmarks.tables.committed import nested, rows_of, source
 FILE = "tabletop"
 FIGURES: list[tuple[str, tuple[str, ...], int]] = [
     ("cameras off, % of the thing's size", ("truth", "camera_error_median_percent"), 2),
+    ("masks: IoU", ("silhouettes", "iou"), 3),
     ("F-score at 1 %", ("truth", "f1_at_1_percent_of_size"), 3),
     ("normals: median degrees", ("truth", "normal_error_median_degrees"), 1),
     ("held out, dB: unlit", ("unlit_psnr",), 2),

@@ -10,9 +10,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from pipeline.base.progress import progress
 
+SMALLEST_HOLE = 0.003  # of the object's area
+SMALL_PART = 0.08  # of the largest part's area, below which a part has to show that it belongs:
+PART_ODDS = 1.0  # by mean log-odds above this
+LEAST_PART = 30  # and by so many pixels
 SURE_GROUND = -2.2  # log-odds at and below which a pixel is background whatever its colour
 
 
@@ -47,7 +52,7 @@ def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.n
     background = np.zeros((1, 65))  # GrabCut's colour models
     foreground = np.zeros((1, 65))
     if (cut_state != cv2.GC_BGD).all():  # nothing around the object to learn its colours from
-        return tidy(probable)
+        return tidy(probable, odds)
     cv2.setRNGSeed(0)
     # OpenCV's stubs do not know that it may go without a rectangle
     cv2.grabCut(  # type: ignore[call-overload]
@@ -56,21 +61,28 @@ def cut(lab8: np.ndarray, hull: np.ndarray, odds: np.ndarray, band: int) -> np.n
 
     out = np.zeros(hull.shape, bool)
     out[box] = (cut_state == cv2.GC_FGD) | (cut_state == cv2.GC_PR_FGD)
-    return tidy(out)
+    return tidy(out, odds)
 
 
-def tidy(mask: np.ndarray) -> np.ndarray:
-    """Smooth by two pixels, fill holes smaller than .3 % of the object, keep the large parts."""
+def tidy(mask: np.ndarray, odds: np.ndarray) -> np.ndarray:
+    """Smooth by two pixels, fill holes smaller than .3 % of the object, keep the large parts and
+    those that the evidence is for: a lamp whose chain is thinner than a pixel hangs by nothing.
+    """
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
     mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, kernel)
 
-    for value in (0, 1):
-        count, labels, stats, _ = cv2.connectedComponentsWithStats((mask == value).astype(np.uint8))
-        area = stats[1:, cv2.CC_STAT_AREA]
-        if count > 1:
-            limit = 0.003 * mask.sum() if value == 0 else 0.08 * area.max()
-            mask[np.isin(labels, 1 + np.where(area < limit)[0])] = 1 - value
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(1 - mask)
+    holes = stats[1:, cv2.CC_STAT_AREA] < SMALLEST_HOLE * mask.sum()
+    mask[np.isin(labels, 1 + np.flatnonzero(holes))] = 1
+
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
+    if count < 2:
+        return mask.astype(bool)
+    area = stats[1:, cv2.CC_STAT_AREA]
+    for_it = ndimage.mean(odds, labels, np.arange(1, count)) > PART_ODDS
+    loose = (area < SMALL_PART * area.max()) & ~(for_it & (area >= LEAST_PART))
+    mask[np.isin(labels, 1 + np.flatnonzero(loose))] = 0
     return mask.astype(bool)
 
 

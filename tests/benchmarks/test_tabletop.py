@@ -1,17 +1,17 @@
 """Photos on a table: the thing stands on it, and the true cameras see it where the photos do."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from benchmarks import tabletop
-from benchmarks.tabletop import SIZE, Setting, of_matt, photograph, placed
-from examples import make_garden
-from pipeline.base.files import read_json
+from benchmarks.masks import mask_errors
+from benchmarks.tabletop import SIZE, Setting, of_matt, photograph, placed, true_views
 from pipeline.base.images import write_exr, write_png
-from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, View
+from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import load_mesh
 from pipeline.surface.preview import Silhouette
 
@@ -51,12 +51,29 @@ def test_the_true_cameras_see_the_thing_where_the_photos_do(tmp_path, asset, mon
     photograph(asset, light, Setting("even", grey, 1), out)
 
     shown = Silhouette(load_mesh(out / "truth" / "mesh.ply"))
-    width, height = make_garden.WIDTH, make_garden.HEIGHT
-    focal = make_garden.FOCAL_35 / 36 * width
-    for frame in read_json(out / "truth" / "cameras.json")["frames"]:
-        pose = np.linalg.inv(np.array(frame["transform_matrix"]) @ OPENCV_FROM_OPENGL)
-        view = View("v", "", width, height, focal, focal, width / 2, height / 2, pose)
-        photo = np.asarray(Image.open(out / frame["file_path"])).astype(int)
+    for view in true_views(out):
+        photo = np.asarray(Image.open(out / view.image)).astype(int)
         red = photo[..., 0] > 2 * photo[..., 1]
         covered = shown(view)
         assert (red & covered).sum() > 0.9 * (red | covered).sum()
+
+
+def test_masks_are_measured_against_the_true_silhouette(tmp_path, ball):
+    """A mask of half the size misses what it lacks and adds what it has beside the object."""
+    mesh = load_mesh(ball / "mesh_uv.ply")
+    pose = np.eye(4)
+    pose[2, 3] = 4 * np.abs(mesh.vertices).max()
+    view = View("v", "", 80, 60, 80.0, 80.0, 40.0, 30.0, pose)
+    true = Silhouette(mesh)(view.at_size(40, 30))
+    mask = true.copy()
+    rows, columns = np.nonzero(true)
+    mask[rows[:10], columns[:10]] = False  # missed
+    mask[0, :5] = True  # added
+    write_png(tmp_path / "v.png", mask * np.uint8(255))
+
+    found = mask_errors(tmp_path, mesh, [view, replace(view, name="without")])
+    size = true.sum()
+    assert found["missed"] == 10 / size and found["added"] == 5 / size
+    assert found["iou"] == pytest.approx((size - 10) / (size + 5))
+    with pytest.raises(ValueError, match="no view of the truth has a mask"):
+        mask_errors(tmp_path, mesh, [])
