@@ -2,10 +2,11 @@
 
 python -m benchmarks.tabletop --assets ASSETS --lights ENVMAPS --folder FOLDER --out rows.json
 
-Each asset of THINGS (a folder as benchmarks.make_scene reads it) lies on a table under a measured
-light, ENVMAPS/<light>.exr. FOLDER/<asset>_table gets its photos, as a hand-held camera would take
-them (examples/make_garden.py), and truth/, which no stage reads. Then the whole chain runs, at
-`draft`. What exists already is not made again.
+Each asset of THINGS (a folder in ASSETS as benchmarks.make_scene reads it, or an object of
+benchmarks.suite, which is made) lies on a table under a measured light, ENVMAPS/<light>.exr.
+FOLDER/<asset>_table gets its photos, as a hand-held camera would take them
+(examples/make_garden.py), and truth/, which no stage reads. Then the whole chain runs, at `draft`.
+What exists already is not made again.
 
 A row: the figures of `benchmarks.real_sets` (photos placed, surface, held-out views lit and unlit),
 under `truth` errors of surface, normals and cameras (`benchmarks.geometry`) and under `silhouettes`
@@ -28,6 +29,7 @@ from benchmarks.geometry import compare
 from benchmarks.masks import mask_errors
 from benchmarks.real_sets import failure, figures
 from benchmarks.scenes import ROOT, machine, run
+from benchmarks.suite.objects import LAST, OBJECTS, write_object
 from examples import make_garden
 from pipeline.base.errors import run_stage
 from pipeline.base.files import read_json, stage_folder, write_json
@@ -46,6 +48,7 @@ SPP = 32  # paths through each pixel of a photo
 MAX_DEPTH = 4  # path vertices after the camera
 UNDERSIDE = 0.004  # metres: truth below it is no photo's
 TEXELS = 2048  # along a side of the cloth's and the paper's texture
+SIDE = 1024  # texels along a side of an object of benchmarks.suite
 
 Maps = tuple[np.ndarray, np.ndarray, np.ndarray]  # base colour, roughness, metallic
 
@@ -85,6 +88,11 @@ THINGS = {
     "antique_camera": Setting("old_hall", cloth, 7),
     "corset": Setting("gym_entrance", make_garden.table_maps, 8),
     "suzanne": Setting("lythwood_room", make_garden.table_maps, 9),
+    # chosen, with light and table, before any of them was photographed
+    "bob_bronze": Setting("autoshop_01", cloth, 10),
+    "vase": Setting("blouberg_sunrise_2", make_garden.table_maps, 11),
+    "figure": Setting("artist_workshop", paper, 12),
+    "bowl": Setting("dresden_square", cloth, 13),
 }
 
 
@@ -164,6 +172,16 @@ def photograph(asset: Path, light: Path, setting: Setting, out: Path) -> None:
         write_json(partial / "truth" / "cameras.json", {"frames": frames})
 
 
+def asset_of(name: str, assets: Path, folder: Path) -> Path:
+    """The folder of an asset: in `assets`, or for an object of benchmarks.suite made in `folder`."""
+    if name not in OBJECTS:
+        return assets / name
+    made = folder / "assets" / name
+    if not (made / LAST).exists():
+        write_object(name, made, SIDE)
+    return made
+
+
 def true_views(folder: Path) -> list[View]:
     """The true cameras of a scene folder's photos, at the photos' size."""
     width, height = make_garden.WIDTH, make_garden.HEIGHT
@@ -207,7 +225,8 @@ def main() -> None:
         if folder.name in done:
             continue
         if not (folder / "images").exists():
-            photograph(args.assets / name, args.lights / f"{setting.light}.exr", setting, folder)
+            asset = asset_of(name, args.assets, args.folder.resolve())
+            photograph(asset, args.lights / f"{setting.light}.exr", setting, folder)
         try:
             if args.finished is None:
                 run(folder, args.preset, args.samples, [])

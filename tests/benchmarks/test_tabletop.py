@@ -58,6 +58,18 @@ def test_the_true_cameras_see_the_thing_where_the_photos_do(tmp_path, asset, mon
         assert (red & covered).sum() > 0.9 * (red | covered).sum()
 
 
+def test_assets_are_the_given_ones_or_made(tmp_path):
+    """An object of the suite is made once, and its mesh can be laid on the table."""
+    assert tabletop.asset_of("suzanne", tmp_path, tmp_path / "out") == tmp_path / "suzanne"
+    made = tabletop.asset_of("bowl", tmp_path, tmp_path / "out")
+    written = (made / "metallic.png").stat().st_mtime_ns
+    assert tabletop.asset_of("bowl", tmp_path, tmp_path / "out") == made
+    assert (made / "metallic.png").stat().st_mtime_ns == written
+    assert placed(load_mesh(made / "mesh.ply"))[0].vertices[:, 1].min() == pytest.approx(
+        0, abs=1e-9
+    )
+
+
 def test_masks_are_measured_against_the_true_silhouette(tmp_path, ball):
     """A mask of half the size misses what it lacks and adds what it has beside the object."""
     mesh = load_mesh(ball / "mesh_uv.ply")
