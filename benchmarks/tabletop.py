@@ -173,7 +173,7 @@ def photograph(asset: Path, light: Path, setting: Setting, out: Path) -> None:
 
 
 def asset_of(name: str, assets: Path, folder: Path) -> Path:
-    """The folder of an asset: in `assets`, or for an object of benchmarks.suite made in `folder`."""
+    """The folder of an asset: in `assets`, or made in `folder` (objects of benchmarks.suite)."""
     if name not in OBJECTS:
         return assets / name
     made = folder / "assets" / name
