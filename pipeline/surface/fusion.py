@@ -1,12 +1,12 @@
 """Masks and depth maps become one field over a grid, whose zero surface is the object.
 
 hull: soft visual hull, drawn taut over the masks' outlines (taut.py). fused: where depth maps
-stand, they make the surface; the hull does elsewhere. Both end in marching cubes, always closed.
-The fused one then moves to where photos agree (photometric.py), and has to earn its place: it is
-taken where it predicts photos that were left out better than the hull, and fills the masks
-(prediction.py). Only then is it drawn to the edges of given masks too (outlines.py):
-that helps noise as much as a surface. Masks that were made may hold ground, which depth tells from
-the object.
+stand, they make the surface; the hull does elsewhere, and where masks prove depth wrong
+(filling.py). Both end in marching cubes, always closed. The fused one then moves to where photos
+agree (photometric.py), and has to earn its place: it is taken where it predicts photos that were
+left out better than the hull, and fills the masks (prediction.py). Only then is it drawn to the
+edges of given masks too (outlines.py): that helps noise as much as a surface. Masks that were made
+may hold ground, which depth tells from the object.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pipeline.geometry.voxels import Grid
 from pipeline.surface.clean import to_mesh, zero_surface
 from pipeline.surface.depth import Depth, depth_maps, neighbours
 from pipeline.surface.field import projections, stacked, stereo_field
+from pipeline.surface.filling import carved_solids, without_seen_through
 from pipeline.surface.normal_filter import LEAST, filtered_normals, steps_of
 from pipeline.surface.photometric import Refined, Refinement, refine_mesh
 from pipeline.surface.prediction import Gain, gain
@@ -38,10 +39,12 @@ NEIGHBOURS = 4  # photos that refinement compares each photo with
 RANGE_GRID = 96  # cells of the hull that bounds the search of depth
 
 
-def fuse(grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth]) -> np.ndarray:
+def fuse(
+    grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth]
+) -> tuple[np.ndarray, np.ndarray]:
     """The mean of the depth maps' truncated distances (Curless and Levoy 1996), inside the loose
     hull, wherever the agreeing views sum to LEAST_WEIGHT; the strict hull elsewhere. A cell that a
-    depth map looks through is empty.
+    depth map looks through is empty; how many do is the other array.
     """
     h, w = depths[0].depth.shape
     behind, weight, free = stereo_field(
@@ -54,7 +57,30 @@ def fuse(grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth])
         np.float32(TRUNCATION * grid.cell),
     )
     out = np.where(weight >= LEAST_WEIGHT, np.minimum(loose, behind), strict)
-    return np.where((free >= 1) & (free > LEAST_FREE * weight), np.minimum(out, -0.5), out)
+    seen_through = (free >= 1) & (free > LEAST_FREE * weight)
+    return np.where(seen_through, np.minimum(out, -0.5), out), free
+
+
+def fuse_what_masks_allow(
+    grid: Grid, seen: Silhouettes, depths: list[Depth]
+) -> tuple[np.ndarray, dict]:
+    """The field of the depth maps above the ground, twice: what they carve although masks prove it
+    solid shows which depth is wrong, and without that they are fused again. What is carved still is
+    the hull's. And facts: the shares of depth and of the hull's volume.
+    """
+    strict = seen.above_ground(grid, seen.hull(grid, BESIDE_DEPTH[seen.given]))
+    loose = seen.above_ground(grid, seen.hull(grid, LOOSE))
+
+    def carved(believed: list[Depth]) -> tuple[np.ndarray, np.ndarray]:
+        fused, free = fuse(grid, strict, loose, believed)
+        fused = seen.above_ground(grid, fused)
+        return fused, carved_solids(fused, strict, free, believed, grid, seen)
+
+    _, solid = carved(depths)
+    believed, wrong = without_seen_through(depths, solid, grid)
+    fused, solid = carved(believed)
+    filled = float(solid.sum() / max((strict > 0).sum(), 1))
+    return np.where(solid, strict, fused), {"depth_proven_wrong": wrong, "filled": filled}
 
 
 def build_surface(
@@ -78,9 +104,8 @@ def build_surface(
         return alone, grid, {"method": method, "why": why} | facts
 
     hull = zero_surface(field, grid, seen.covered)
-    filling = seen.above_ground(grid, seen.hull(grid, BESIDE_DEPTH[seen.given]))
-    fused = fuse(grid, filling, seen.hull(grid, LOOSE), depths)
-    surface = to_mesh(seen.above_ground(grid, fused), grid, seen.covered)
+    fused, facts["filling"] = fuse_what_masks_allow(grid, seen, depths)
+    surface = to_mesh(fused, grid, seen.covered)
     steps = (settings.refine_steps,) * len(Refinement.scales)
     moved = _moved(surface, seen, images, Refinement(steps, plate=settings.plate), None, threads)
     facts["refinement"] = moved.facts

@@ -43,7 +43,8 @@ def test_outlines_pull_once_a_surface_with_given_masks_was_taken(
 
     monkeypatch.setattr(fusion, "refine_mesh", noted)
     monkeypatch.setattr(fusion, "_depths", lambda *_: ([], 1.0))
-    monkeypatch.setattr(fusion, "fuse", lambda grid, strict, loose, depths: strict)
+    nothing = np.zeros(1)  # depth maps that look through a cell
+    monkeypatch.setattr(fusion, "fuse", lambda grid, strict, loose, depths: (strict, nothing))
     monkeypatch.setattr(fusion, "gain", lambda *_: found)
 
     images = [np.zeros((96, 96), np.float32)] * len(rig.views)

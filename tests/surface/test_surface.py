@@ -104,7 +104,7 @@ def test_fusing_a_nearer_surface_carves_the_hull(sphere):
         facing = np.broadcast_to(np.float32([0, 0, -1]), (*depth.shape, 3))
         count = np.full(depth.shape, 3, np.float32)
         depths.append(Depth(v, depth.astype(np.float32), facing, count))
-    mesh = to_mesh(fuse(grid, hull, hull, depths), grid)
+    mesh = to_mesh(fuse(grid, hull, hull, depths)[0], grid)
     assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - 0.35) < 0.03
 
 
