@@ -93,6 +93,10 @@ THINGS = {
     "vase": Setting("blouberg_sunrise_2", make_garden.table_maps, 11),
     "figure": Setting("artist_workshop", paper, 12),
     "bowl": Setting("dresden_square", cloth, 13),
+    # chosen so, too, and after `surface/filling.py` had been tuned on things above
+    "torus_knot": Setting("wide_street_02", paper, 14),
+    "rounded_case": Setting("blocky_photo_studio", make_garden.table_maps, 15),
+    "fluted_ring": Setting("between_bridges", cloth, 16),
 }
 
 
