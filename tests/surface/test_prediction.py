@@ -103,8 +103,15 @@ def test_large_photos_are_looked_at_smaller(ring, monkeypatch):
 def test_a_fused_surface_has_to_predict_better_and_to_fill_the_masks():
     caved = Gain(share=0.3, standard_error=0.04, photos=40, empty=0.16)
     for given in (True, False):
-        taken, words = _judged(caved, given)
+        taken, words = _judged(caved, given, 0.1)
         assert not taken and "16 % of what the hull fills" in words
-        assert _judged(replace(caved, empty=0.06), given)[0]
-    assert _judged(replace(caved, empty=0.05), given=True)[0]
-    assert not _judged(replace(caved, empty=0.05, share=0.06), given=True)[0]
+        assert _judged(replace(caved, empty=0.06), given, 0.1)[0]
+    assert _judged(replace(caved, empty=0.05), given=True, wrong=0.1)[0]
+    assert not _judged(replace(caved, empty=0.05, share=0.06), given=True, wrong=0.1)[0]
+
+
+def test_a_fused_surface_is_refused_whose_depth_is_mostly_wrong():
+    good = Gain(share=0.3, standard_error=0.04, photos=40, empty=0.01)
+    taken, words = _judged(good, given=False, wrong=0.6)
+    assert not taken and "60 % of all depth wrong" in words
+    assert _judged(good, given=False, wrong=0.4)[0]
