@@ -2,16 +2,18 @@
 
 hull: soft visual hull, drawn taut over the masks' outlines (taut.py). fused: where depth maps
 stand, they make the surface; the hull does elsewhere, and where masks prove depth wrong
-(filling.py). Both end in marching cubes, always closed. The fused one then moves to where photos
-agree (photometric.py), and has to earn its place: it is taken where it predicts photos that were
-left out better than the hull, and fills the masks (prediction.py). Only then is it drawn to the
-edges of given masks too (outlines.py): that helps noise as much as a surface. Masks that were made
-may hold ground, which depth tells from the object.
+(filling.py). Both end in marching cubes, always closed. The fused one is made anew from what is
+known of it (screened_poisson.py), then moves to where photos agree (photometric.py), and has to
+earn its place: it is taken where it predicts photos that were left out better than the hull, and
+fills the masks (prediction.py). Only then is it drawn to the edges of given masks too
+(outlines.py): that helps noise as much as a surface. Masks that were made may hold ground, which
+depth tells from the object.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +27,7 @@ from pipeline.surface.filling import carved_solids, without_seen_through
 from pipeline.surface.normal_filter import LEAST, filtered_normals, steps_of
 from pipeline.surface.photometric import Refined, Refinement, refine_mesh
 from pipeline.surface.prediction import Gain, gain
+from pipeline.surface.screened_poisson import rebuilt
 from pipeline.surface.silhouettes import TRUNCATION, Silhouettes
 from pipeline.surface.taut import taut
 
@@ -43,12 +46,20 @@ MOST_WRONG = 0.5
 RANGE_GRID = 96  # cells of the hull that bounds the search of depth
 
 
-def fuse(
-    grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth]
-) -> tuple[np.ndarray, np.ndarray]:
+class Fused(NamedTuple):
+    """Arrays of a grid's shape: the field, positive inside; agreeing views, summed over depth maps;
+    and how many of these look through a cell.
+    """
+
+    field: np.ndarray
+    weight: np.ndarray
+    free: np.ndarray
+
+
+def fuse(grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth]) -> Fused:
     """The mean of the depth maps' truncated distances (Curless and Levoy 1996), inside the loose
     hull, wherever the agreeing views sum to LEAST_WEIGHT; the strict hull elsewhere. A cell that a
-    depth map looks through is empty; how many do is the other array.
+    depth map looks through is empty.
     """
     h, w = depths[0].depth.shape
     behind, weight, free = stereo_field(
@@ -62,29 +73,32 @@ def fuse(
     )
     out = np.where(weight >= LEAST_WEIGHT, np.minimum(loose, behind), strict)
     seen_through = (free >= 1) & (free > LEAST_FREE * weight)
-    return np.where(seen_through, np.minimum(out, -0.5), out), free
+    return Fused(np.where(seen_through, np.minimum(out, -0.5), out), weight, free)
 
 
-def fuse_what_masks_allow(
-    grid: Grid, seen: Silhouettes, depths: list[Depth]
-) -> tuple[np.ndarray, dict]:
-    """The field of the depth maps above the ground, twice: what they carve although masks prove it
-    solid shows which depth is wrong, and without that they are fused again. What is carved still is
-    the hull's. And facts: the shares of depth and of the hull's volume.
+def fuse_what_masks_allow(grid: Grid, seen: Silhouettes, depths: list[Depth]) -> tuple[Mesh, dict]:
+    """The surface of the depth maps above the ground, which are fused twice: what they carve
+    although masks prove it solid shows which depth is wrong, and without that they are fused again.
+    What is carved still is the hull's. It is made anew from what is known of it (`rebuilt`). And
+    facts: the shares of depth, of the hull's volume and of points. Raises InputError where nothing
+    is left.
     """
     strict = seen.above_ground(grid, seen.hull(grid, BESIDE_DEPTH[seen.given]))
     loose = seen.above_ground(grid, seen.hull(grid, LOOSE))
 
-    def carved(believed: list[Depth]) -> tuple[np.ndarray, np.ndarray]:
-        fused, free = fuse(grid, strict, loose, believed)
-        fused = seen.above_ground(grid, fused)
-        return fused, carved_solids(fused, strict, free, believed, grid, seen)
+    def carved(believed: list[Depth]) -> tuple[Fused, np.ndarray]:
+        fused = fuse(grid, strict, loose, believed)
+        fused = fused._replace(field=seen.above_ground(grid, fused.field))
+        return fused, carved_solids(fused.field, strict, fused.free, believed, grid, seen)
 
     _, solid = carved(depths)
     believed, wrong = without_seen_through(depths, solid, grid)
     fused, solid = carved(believed)
+    surface = to_mesh(np.where(solid, strict, fused.field), grid, seen.covered)
+    surface, anew = rebuilt(surface, fused.weight, strict, grid, len(depths))
     filled = float(solid.sum() / max((strict > 0).sum(), 1))
-    return np.where(solid, strict, fused), {"depth_proven_wrong": wrong, "filled": filled}
+    facts = {"depth_proven_wrong": wrong, "filled": filled, "made_anew": anew}
+    return seen.raised(grid, surface), facts
 
 
 def build_surface(
@@ -108,8 +122,7 @@ def build_surface(
         return alone, grid, {"method": method, "why": why} | facts
 
     hull = zero_surface(field, grid, seen.covered)
-    fused, facts["filling"] = fuse_what_masks_allow(grid, seen, depths)
-    surface = to_mesh(fused, grid, seen.covered)
+    surface, facts["filling"] = fuse_what_masks_allow(grid, seen, depths)
     steps = (settings.refine_steps,) * len(Refinement.scales)
     moved = _moved(surface, seen, images, Refinement(steps, plate=settings.plate), None, threads)
     facts["refinement"] = moved.facts

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.geometry.cameras import Rig, View
-from pipeline.geometry.mesh_io import Mesh
+from pipeline.geometry.mesh_io import Mesh, vertex_normals
 from pipeline.geometry.voxels import Grid
 from pipeline.masks.agreement import hull_points
 from pipeline.surface.clean import zero_surface
@@ -19,6 +19,7 @@ from pipeline.surface.pictures import at_size, reduced
 from pipeline.surface.preview import Silhouette
 
 TRUNCATION = 4.0  # cells
+SLAB = 1.5  # cells above the ground, below which nothing is the object's
 TOLERANCES = (0.0, 0.04, 0.08, 0.12)  # shares of masks that may be wrong, of which one is chosen
 JUDGED_GRID = 128  # cells of the hulls that are compared for it
 JUDGED_SIDE = 400  # pixels of the longer side of the masks that surfaces are compared with
@@ -64,8 +65,16 @@ class Silhouettes:
         if self.ground is None:
             return field
         y = grid.low[1] + (np.arange(grid.shape[1]) + 0.5) * grid.cell
-        above = (y - self.ground - 1.5 * grid.cell) / (TRUNCATION * grid.cell)
+        above = (y - self.ground - SLAB * grid.cell) / (TRUNCATION * grid.cell)
         return np.minimum(field, above[None, :, None])
+
+    def raised(self, grid: Grid, mesh: Mesh) -> Mesh:
+        """The mesh with what lies lower than a field `above_ground` reaches lifted to its end."""
+        if self.ground is None:
+            return mesh
+        vertices = mesh.vertices.copy()
+        vertices[:, 1] = np.maximum(vertices[:, 1], self.ground + SLAB * grid.cell)
+        return Mesh(vertices, mesh.faces, vertex_normals(vertices, mesh.faces))
 
     @cached_property
     def small(self) -> list[tuple[View, np.ndarray]]:

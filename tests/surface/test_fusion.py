@@ -42,9 +42,10 @@ def test_outlines_pull_once_a_surface_with_given_masks_was_taken(
         return Refined(mesh, np.ones(len(mesh.vertices)), {})
 
     monkeypatch.setattr(fusion, "refine_mesh", noted)
-    monkeypatch.setattr(fusion, "_depths", lambda *_: ([], 1.0))
-    nothing = np.zeros(1)  # depth maps that look through a cell
-    monkeypatch.setattr(fusion, "fuse", lambda grid, strict, loose, depths: (strict, nothing))
+    monkeypatch.setattr(fusion, "_depths", lambda *_: ([None], 1.0))
+    nothing = lambda field: np.zeros_like(field)
+    fused = lambda grid, strict, *_: fusion.Fused(strict, nothing(strict), nothing(strict))
+    monkeypatch.setattr(fusion, "fuse", fused)
     monkeypatch.setattr(fusion, "gain", lambda *_: found)
 
     images = [np.zeros((96, 96), np.float32)] * len(rig.views)
