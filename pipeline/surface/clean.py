@@ -72,8 +72,13 @@ class Decimation:
 
 def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     """Volume of a closed mesh, positive where its faces are counter-clockwise from outside."""
+    return float(volumes(vertices, faces).sum())
+
+
+def volumes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """What every face (m, 3) adds to the signed volume, (m,): its tetrahedron with the origin."""
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
-    return float((first * np.cross(second, third)).sum() / 6)
+    return (first * np.cross(second, third)).sum(1) / 6
 
 
 def facts(mesh: Mesh) -> dict:

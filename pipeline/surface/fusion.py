@@ -95,7 +95,7 @@ def fuse_what_masks_allow(grid: Grid, seen: Silhouettes, depths: list[Depth]) ->
     believed, wrong = without_seen_through(depths, solid, grid)
     fused, solid = carved(believed)
     surface = to_mesh(np.where(solid, strict, fused.field), grid, seen.covered)
-    surface, anew = rebuilt(surface, fused.weight, strict, grid, len(depths))
+    surface, anew = rebuilt(surface, fused.weight, strict, grid, len(depths), seen.covered)
     filled = float(solid.sum() / max((strict > 0).sum(), 1))
     facts = {"depth_proven_wrong": wrong, "filled": filled, "made_anew": anew}
     return seen.raised(grid, surface), facts

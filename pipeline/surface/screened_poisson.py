@@ -5,7 +5,7 @@ through. So the surface is made once more, as the smooth one that passes through
 their normals (Kazhdan and Hoppe 2013, by pymeshlab). A point counts as much as depth maps agree on
 it, and fully where it lies on the hull, for which masks stand. Points that hardly a depth map
 stands for are left out beside those that are known. Far from these they stay and count little: a
-wide hole would be closed flat.
+wide hole would be closed flat. Of its parts those are kept that are the object's (solids.py).
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from scipy.spatial import cKDTree
 
 from pipeline.geometry.mesh_io import Mesh, vertex_normals
 from pipeline.geometry.voxels import Grid
+from pipeline.surface.clean import volumes
+from pipeline.surface.solids import Covered, of_the_object
 
 # agreeing views, summed over depth maps, of a point that counts fully, and of one that is known; no
 # more than so many for every depth map, where those are few
@@ -29,14 +31,20 @@ NEAR = 2.0  # cells between a part's vertices and points; a part farther away is
 
 
 def rebuilt(
-    surface: Mesh, weight: np.ndarray, hull: np.ndarray, grid: Grid, maps: int
+    surface: Mesh,
+    weight: np.ndarray,
+    hull: np.ndarray,
+    grid: Grid,
+    maps: int,
+    covered: Covered | None = None,
 ) -> tuple[Mesh, dict]:
     """The closed surface through points of `surface`, and facts: `left_out`, the share of points
-    that it does without. Where nothing can be made of them it is the surface as it is, and the
-    facts say so.
+    that it does without, and `parts`, how many of the parts that were made are the object's, and
+    of how many. Where none is, it is the surface as it is, and the facts say so.
 
     weight: agreeing views, summed over `maps` depth maps; hull: positive inside, in truncation
-    distances; both of the grid's shape.
+    distances; both of the grid's shape. Of small parts none is the object's where nothing is known
+    of masks (`covered`).
     """
     at = (surface.vertices - grid.low) / grid.cell - 0.5
     sampled = lambda field: ndimage.map_coordinates(field, at.T, order=1, mode="nearest")
@@ -49,13 +57,8 @@ def rebuilt(
 
     points = surface.vertices[used]
     vertices, faces = _poisson(points, surface.normals[used], counts[used], grid.cell)
-    if len(faces):
-        faces = _near(vertices, faces, points, NEAR * grid.cell)
-    if not len(faces):
-        return surface, facts | {"why": "nothing could be made of its points"}
-    corners, numbers = np.unique(faces, return_inverse=True)
-    vertices, faces = vertices[corners], numbers.reshape(-1, 3)
-    return Mesh(vertices, faces, vertex_normals(vertices, faces)), facts
+    made, facts["parts"] = _of_the_object(vertices, faces, points, grid, covered)
+    return (surface if made is None else made), facts
 
 
 def _far(points: np.ndarray, others: np.ndarray, limit: float) -> np.ndarray:
@@ -85,11 +88,32 @@ def _poisson(
     return made.vertex_matrix(), made.face_matrix().astype(np.int64)
 
 
-def _near(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray, limit: float) -> np.ndarray:
-    """The faces of connected parts whose vertices lie within `limit` of points, in the median."""
+def _of_the_object(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    points: np.ndarray,
+    grid: Grid,
+    covered: Covered | None,
+) -> tuple[Mesh | None, list[int]]:
+    """The surface of those connected parts that are the object's, and of how many out of how many.
+    A part whose vertices, in the median, do not lie near points is a bubble.
+    """
+    if not len(faces):
+        return None, [0, 0]
     edges = np.concatenate([faces[:, :2], faces[:, 1:]])
     joined = sparse.coo_matrix((np.ones(len(edges)), edges.T), (len(vertices), len(vertices)))
     count, part = sparse.csgraph.connected_components(joined, directed=False)
+    number = part[faces[:, 0]]
     away = cKDTree(points).query(vertices)[0]
-    near = np.atleast_1d(ndimage.median(away, part, np.arange(count))) < limit
-    return faces[near[part[faces[:, 0]]]]
+    near = np.atleast_1d(ndimage.median(away, part, np.arange(count))) < NEAR * grid.cell
+    cells = np.bincount(number, volumes(vertices, faces), count) / grid.cell**3
+    mesh_of = lambda kept: _mesh(vertices, faces[kept[number]])
+    kept = of_the_object(np.where(near, cells, 0.0), mesh_of, covered) & near
+    return (mesh_of(kept) if kept.any() else None), [int(kept.sum()), count]
+
+
+def _mesh(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    """The mesh of these faces (m, 3) and of no other vertices."""
+    corners, numbers = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[corners], numbers.reshape(-1, 3)
+    return Mesh(vertices, faces, vertex_normals(vertices, faces))

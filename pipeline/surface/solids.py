@@ -43,44 +43,40 @@ def whole_solids(field: np.ndarray, grid: Grid, covered: Covered | None = None) 
     labels, count = ndimage.label(field > 0)
     if not count:
         return np.minimum(field, -1e-3)
-    cells = np.bincount(labels.ravel())
-    cells[0] = 0
-    kept = cells >= LARGE * cells.max()
-    kept[0] = True
-    least = max(FEWEST, SMALL * cells.max())
-    small = [k for k in np.argsort(-cells) if cells[k] >= least and not kept[k]]
-    if covered and small:
-        kept[asked_for(field, grid, labels, kept, small, covered)] = True
+    cells = np.bincount(labels.ravel())[1:]
+    kept = of_the_object(cells, lambda kept: contour(only(field, labels, kept), grid), covered)
     return without_cavities(only(field, labels, kept))
 
 
 def only(field: np.ndarray, labels: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """The field without solids whose number is not `kept` (bool by number; 0 is what is empty)."""
-    return np.where(kept[labels], field, -0.5)
-
-
-def asked_for(
-    field: np.ndarray,
-    grid: Grid,
-    labels: np.ndarray,
-    kept: np.ndarray,
-    small: list[int],
-    covered: Covered,
-) -> list[int]:
-    """Those of the `small` solids (numbers) that cover enough of the masks where neither the `kept`
-    ones do, nor those of them that were taken before.
+    """The field without solids that are not `kept`, bool by number - 1; number 0 is what is
+    empty.
     """
-    taken = []
-    others = covered(contour(only(field, labels, kept), grid))
+    return np.where(np.concatenate([[True], kept])[labels], field, -0.5)
+
+
+def of_the_object(
+    cells: np.ndarray, mesh_of: Callable[[np.ndarray], Mesh], covered: Covered | None
+) -> np.ndarray:
+    """Which parts are the object's, bool (n,): the large ones, and those of the small that cover
+    enough of the masks where neither the large do, nor those of the small that were taken before.
+
+    cells: volume of every part (n,), in cells of the grid; mesh_of: the surface of parts, bool
+    (n,).
+    """
+    kept = cells >= LARGE * cells.max()
+    least = max(FEWEST, SMALL * cells.max())
+    small = [k for k in np.argsort(-cells) if cells[k] >= least and not kept[k]]
+    if not covered or not small:
+        return kept
+    others = covered(mesh_of(kept))
     for number in small:
-        alone = np.zeros_like(kept)
-        alone[[0, number]] = True
-        own = covered(contour(only(field, labels, alone), grid))
+        own = covered(mesh_of(np.arange(len(cells)) == number))
         new = sum(int((a & ~b).sum()) for a, b in zip(own, others))
         if new > ALONE * sum(int(a.sum()) for a in own):
-            taken.append(number)
+            kept[number] = True
             others = [a | b for a, b in zip(own, others)]
-    return taken
+    return kept
 
 
 def without_cavities(field: np.ndarray) -> np.ndarray:

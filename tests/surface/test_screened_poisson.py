@@ -10,9 +10,11 @@ from pipeline.surface.screened_poisson import FULLY_EACH, rebuilt
 from pipeline.surface.silhouettes import SLAB, silhouettes_of
 from pipeline.surface.solids import contour
 from tests.seeds import numpy_rng
+from tests.surface.test_solids import vase_and_coin
 from tests.surface.test_surface import sphere
 
-sphere = sphere  # the fixture: a rig around a sphere, and its masks
+# the fixtures: a rig around a sphere, and its masks; a vase, a coin and a chip, and theirs
+sphere, vase_and_coin = sphere, vase_and_coin
 
 RADIUS = 0.35
 GRID = Grid.over(-0.5 * np.ones(3), 0.5 * np.ones(3), 48)
@@ -43,7 +45,7 @@ def off(mesh: Mesh, beyond: float = -1.0) -> float:
 
 def test_what_is_known_stays_where_it_is():
     made, found = rebuilt(ball(), KNOWN, NO_HULL, GRID, MAPS)
-    assert found == {"left_out": 0.0} and off(made) < 0.2
+    assert found == {"left_out": 0.0, "parts": [1, 1]} and off(made) < 0.2
     assert facts(made)["watertight"] and facts(made)["parts"] == 1
     assert signed_volume(made.vertices, made.faces) > 0
 
@@ -85,7 +87,20 @@ def test_of_next_to_nothing_the_surface_is_left_as_it_is():
     cell[24, 24, 24] = 0.5
     surface = contour(cell, GRID)
     made, found = rebuilt(surface, np.zeros(GRID.shape), NO_HULL, GRID, MAPS)
-    assert facts(made)["watertight"] and ("why" in found) == (made is surface)
+    assert facts(made)["watertight"] and (found["parts"][0] == 0) == (made is surface)
+
+
+def test_of_its_parts_those_are_kept_that_masks_ask_for(vase_and_coin):
+    """The vase and the coin beside it, not the chip, which masks show too."""
+    grid, field, seen = vase_and_coin
+    many = np.full(grid.shape, FULLY_EACH * MAPS)
+    made = lambda covered: rebuilt(
+        contour(field, grid), many, np.ones(grid.shape), grid, MAPS, covered
+    )
+    asked, unasked = made(seen.covered), made(None)
+    assert asked[1]["parts"] == [2, 3] and unasked[1]["parts"] == [1, 3]
+    assert asked[0].vertices[:, 0].max() == pytest.approx(0.6, abs=grid.cell)
+    assert unasked[0].vertices[:, 0].max() < 0.4
 
 
 def test_nothing_reaches_below_the_ground(sphere):
