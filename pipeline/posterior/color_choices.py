@@ -34,6 +34,9 @@ BRIGHTER = (1.0, 1.2, 1.45, 1.75, 2.1)  # factors of the light that are tried
 CLEAR_GAIN = 0.01
 # part of the pixels that must lie where a base colour is at its limit, before a brighter is tried
 AT_LIMIT = 0.002
+# part of them from which on colours at the limit speak against a light by themselves: hardly a
+# material is that bright
+TOO_MANY = 0.03
 
 
 def solver_for(pixels: MapPixels, shading: Shading, begin: np.ndarray) -> ColorSolver:
@@ -120,8 +123,9 @@ def share_at_limit(color: np.ndarray) -> float:
 def brighter_light(solver: ColorSolver) -> float:
     """Factor >= 1 by which the solver's light must be brighter for base colours <= 1 to explain
     the photos. Those of BRIGHTER are tried until fewer than AT_LIMIT of the pixels show a colour at
-    its limit. Of them it is the least whose colours, made from the other views, explain every
-    EVERY-th as well as the best one's, up to CLEAR_GAIN of the error.
+    its limit. Of those whose colours, made from the other views, explain every EVERY-th as well as
+    the best one's, up to CLEAR_GAIN of the error, it is the least under which fewer than TOO_MANY
+    of the pixels show such a colour; the brightest, where there is none.
 
     A light that is too dim would be made up for by colours above 1, which there are not. The error
     is a score's, squared, of sRGB values: it counts what is far too dark, as parts at the limit
@@ -131,14 +135,17 @@ def brighter_light(solver: ColorSolver) -> float:
         return 1.0
 
     errors: list[float] = []
+    at_limit: list[float] = []
     for factor in BRIGHTER:
         tried = solver.under(factor)
         errors.append(error_by_other_views(tried, USUAL))
         color, _ = tried.by_other_views
-        if share_at_limit(solver.pixels.of(color)) < AT_LIMIT:
+        at_limit.append(share_at_limit(solver.pixels.of(color)))
+        if at_limit[-1] < AT_LIMIT:
             break
-    good_enough = np.array(errors) * (1 - CLEAR_GAIN) <= min(errors)
-    return BRIGHTER[int(np.argmax(good_enough))]
+    good = np.flatnonzero(np.array(errors) * (1 - CLEAR_GAIN) <= min(errors))
+    few = [k for k in good if at_limit[k] < TOO_MANY]
+    return BRIGHTER[few[0] if few else good[-1]]
 
 
 def color_map(solver: ColorSolver, sharpness: Sharpness | None = None) -> tuple[np.ndarray, dict]:

@@ -7,7 +7,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from pipeline.posterior.base_color import ColorSolver, shared_between_photos, weighed
+from pipeline.posterior.base_color import USUAL, ColorSolver, shared_between_photos, weighed
 from pipeline.posterior.color_choices import (
     CHOICES,
     CLEAR_GAIN,
@@ -328,6 +328,21 @@ def test_a_small_part_at_the_limit_raises_the_light():
     dim = shading.under(1 / 1.75)
     assert brighter_light(solver_of(observations, dim, truth)) >= 1.45
     assert brighter_light(solver_of(observations, shading, truth)) == 1
+
+
+@pytest.mark.parametrize("side, found", [(8, 1.0), (16, 1.2)])
+def test_many_colours_at_the_limit_raise_the_light_by_themselves(truth, side, found):
+    """A square needs colours of 1.03, which costs next to nothing beside the photos' noise: where
+    it is a sixtieth of the map the light stays, where it is a sixteenth it is raised.
+    """
+    white = 0.5 * truth
+    white[24 : 24 + side, 24 : 24 + side] = 0.9
+    observations, shading = pixels_of(white, 40_000)
+    observations.rgb *= numpy_rng(6).uniform(0.8, 1.2, (40_000, 1)).astype(np.float32)
+    dim = solver_of(observations, shading.under(1 / 1.15), white)
+    errors = [error_by_other_views(dim.under(factor), USUAL) for factor in (1.0, 1.2)]
+    assert errors[0] / errors[1] == pytest.approx(1, abs=CLEAR_GAIN)
+    assert brighter_light(dim) == found
 
 
 def test_light_is_raised_for_colours_at_the_limit_only():
