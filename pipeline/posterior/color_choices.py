@@ -34,8 +34,8 @@ BRIGHTER = (1.0, 1.2, 1.45, 1.75, 2.1)  # factors of the light that are tried
 CLEAR_GAIN = 0.01
 # part of the pixels that must lie where a base colour is at its limit, before a brighter is tried
 AT_LIMIT = 0.002
-# part of them from which on colours at the limit speak against a light by themselves: hardly a
-# material is that bright
+# part of them from which on matt colours at the limit speak against a light by themselves: of 77
+# opaque measured materials (physicallybased.info, CC0) gold, silver and Spectralon alone reach .99
 TOO_MANY = 0.03
 
 
@@ -115,9 +115,9 @@ def squared_srgb_error(picture: np.ndarray, photo: np.ndarray) -> float:
     return float(((srgb(picture) - srgb(photo)) ** 2).mean())
 
 
-def share_at_limit(color: np.ndarray) -> float:
-    """Part of colours (n, 3) with a channel at ALBEDO_MAX."""
-    return float((color >= 0.99 * ALBEDO_MAX).any(1).mean())
+def at_limit(color: np.ndarray) -> np.ndarray:
+    """Which (n) of the colours (n, 3) have a channel at ALBEDO_MAX."""
+    return np.asarray((color >= 0.99 * ALBEDO_MAX).any(1))
 
 
 def brighter_light(solver: ColorSolver) -> float:
@@ -125,7 +125,7 @@ def brighter_light(solver: ColorSolver) -> float:
     the photos. Those of BRIGHTER are tried until fewer than AT_LIMIT of the pixels show a colour at
     its limit. Of those whose colours, made from the other views, explain every EVERY-th as well as
     the best one's, up to CLEAR_GAIN of the error, it is the least under which fewer than TOO_MANY
-    of the pixels show such a colour; the brightest, where there is none.
+    of the pixels show such a colour on what is no metal; the brightest, where there is none.
 
     A light that is too dim would be made up for by colours above 1, which there are not. The error
     is a score's, squared, of sRGB values: it counts what is far too dark, as parts at the limit
@@ -134,18 +134,20 @@ def brighter_light(solver: ColorSolver) -> float:
     if solver.judges is None:
         return 1.0
 
+    matt = solver.shading.metallic[:, 0] <= METAL  # gold and silver are at the limit by nature
     errors: list[float] = []
-    at_limit: list[float] = []
+    few_matt: list[bool] = []
     for factor in BRIGHTER:
         tried = solver.under(factor)
         errors.append(error_by_other_views(tried, USUAL))
         color, _ = tried.by_other_views
-        at_limit.append(share_at_limit(solver.pixels.of(color)))
-        if at_limit[-1] < AT_LIMIT:
+        limited = at_limit(solver.pixels.of(color))
+        few_matt.append((limited & matt).mean() < TOO_MANY)
+        if limited.mean() < AT_LIMIT:
             break
     good = np.flatnonzero(np.array(errors) * (1 - CLEAR_GAIN) <= min(errors))
-    few = [k for k in good if at_limit[k] < TOO_MANY]
-    return BRIGHTER[few[0] if few else good[-1]]
+    enough = [k for k in good if few_matt[k]]
+    return BRIGHTER[enough[0] if enough else good[-1]]
 
 
 def color_map(solver: ColorSolver, sharpness: Sharpness | None = None) -> tuple[np.ndarray, dict]:

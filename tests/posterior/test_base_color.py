@@ -330,14 +330,16 @@ def test_a_small_part_at_the_limit_raises_the_light():
     assert brighter_light(solver_of(observations, shading, truth)) == 1
 
 
-@pytest.mark.parametrize("side, found", [(8, 1.0), (16, 1.2)])
-def test_many_colours_at_the_limit_raise_the_light_by_themselves(truth, side, found):
+@pytest.mark.parametrize("side, metallic, found", [(8, 0, 1.0), (16, 0, 1.2), (16, 1, 1.0)])
+def test_many_matt_colours_at_the_limit_raise_the_light_by_themselves(truth, side, metallic, found):
     """A square needs colours of 1.03, which costs next to nothing beside the photos' noise: where
-    it is a sixtieth of the map the light stays, where it is a sixteenth it is raised.
+    it is a sixtieth of the map the light stays, where it is a sixteenth it is raised; a metal may
+    be gold.
     """
     white = 0.5 * truth
     white[24 : 24 + side, 24 : 24 + side] = 0.9
     observations, shading = pixels_of(white, 40_000)
+    shading = shading_of(shading.scaled, shading.rest, metallic)
     observations.rgb *= numpy_rng(6).uniform(0.8, 1.2, (40_000, 1)).astype(np.float32)
     dim = solver_of(observations, shading.under(1 / 1.15), white)
     errors = [error_by_other_views(dim.under(factor), USUAL) for factor in (1.0, 1.2)]
