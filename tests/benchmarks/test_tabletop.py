@@ -13,6 +13,7 @@ from benchmarks.tabletop import SIZE, Setting, of_matt, photograph, placed, true
 from pipeline.base.images import write_exr, write_png
 from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import load_mesh
+from pipeline.prior.training.data import is_held_out
 from pipeline.surface.preview import Silhouette
 
 
@@ -89,3 +90,10 @@ def test_masks_are_measured_against_the_true_silhouette(tmp_path, ball):
     assert found["iou"] == pytest.approx((size - 10) / (size + 5))
     with pytest.raises(ValueError, match="no view of the truth has a mask"):
         mask_errors(tmp_path, mesh, [])
+
+
+def test_no_light_or_camera_is_used_twice_and_the_last_lights_are_held_out_of_the_priors():
+    settings = list(tabletop.THINGS.values())
+    assert len({setting.light for setting in settings}) == len(settings)
+    assert len({setting.seed for setting in settings}) == len(settings)
+    assert all(is_held_out(setting.light) for setting in settings if setting.seed >= 17)
