@@ -13,7 +13,8 @@ roughness of every sample.
 
 Each texel is the robust mean, in sRGB, of the photos' pixels whose ray meets the mesh there. A
 photo that shows the texel larger counts for more because it has more pixels there, and a pixel
-counts by the cosine of incidence. Visibility is exact, for a ray ends at the first surface.
+counts by the cosine of incidence. Visibility is exact, for a ray ends at the first surface. What no
+photo shows has the colours that an asset has there (`pipeline.posterior.unseen_colors`).
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ from pipeline.base.files import read_json, write_json
 from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear
 from pipeline.base.progress import progress
 from pipeline.geometry.cameras import View
+from pipeline.geometry.mesh_io import load_mesh
 from pipeline.posterior.textures import fill, gather, splat
+from pipeline.posterior.unseen_colors import over_unseen
 from pipeline.render.metrics import held_out_photos, psnr, scored_pixels
 from pipeline.render.observe import Observations, Tracer, object_pixels
 
@@ -150,9 +153,11 @@ def score_unlit(
     """
     held_out, tracer, pixels = load(work, erode)
     some = scored_pixels(held_out, scored) if scored else [mask for _, _, mask in held_out]
+    mesh = load_mesh(work / "atlas" / "mesh_uv.ply")
     scores = {}
     for name, passes in (("plain", 1), ("robust", PASSES)):
         texture, seen = bake(pixels, size, passes)
+        texture = over_unseen(texture, seen, mesh)
         scores[name] = {
             view.name: psnr(picture(view, chosen, texture, tracer), photo, chosen)
             for (view, photo, _), chosen in zip(held_out, some)

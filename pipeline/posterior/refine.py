@@ -24,6 +24,7 @@ import numpy as np
 
 from pipeline.base.config import Refine
 from pipeline.base.progress import Bar
+from pipeline.geometry.mesh_io import Mesh, load_mesh
 from pipeline.posterior.base_color import USUAL, Sharpness, shared_between_photos
 from pipeline.posterior.color_choices import brighter_light, color_map, solver_for
 from pipeline.posterior.ladder import climb
@@ -32,7 +33,8 @@ from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.missed_light import with_missed_light
 from pipeline.posterior.problem import ALBEDO_MAX, SHADE, Problem, renderer_seed
 from pipeline.posterior.shading import Shading, shade
-from pipeline.posterior.textures import fill, seen_texels
+from pipeline.posterior.textures import seen_texels
+from pipeline.posterior.unseen_colors import over_unseen
 from pipeline.render.principled_lobes import blurred_roughness
 from pipeline.render.renderer import Explanation, resize_explanation
 from pipeline.surface.normal_error import per_axis
@@ -173,6 +175,18 @@ def judged_gloss(
     return found, maps, {"gloss": facts}
 
 
+def smooth_where_unseen(
+    explanation: Explanation, seen: np.ndarray, seen_gloss: np.ndarray, mesh: Mesh
+) -> Explanation:
+    """The explanation with maps that join on smoothly where no photo shows the surface. seen,
+    seen_gloss: which texels of the base colour and of the other maps photos show.
+    """
+    gloss = np.stack([explanation.roughness, explanation.metallic], -1)
+    roughness, metallic = np.moveaxis(over_unseen(gloss, seen_gloss, mesh), -1, 0)
+    color = over_unseen(explanation.base_color, seen, mesh)
+    return replace(explanation, base_color=color, roughness=roughness, metallic=metallic)
+
+
 def refine(
     problem: Problem,
     sample: Explanation,
@@ -191,7 +205,7 @@ def refine(
     Ours: the relative error of problem.py. s is found once, in closed form and within SCALE_RANGE,
     before k, and is raised where base colours under 1 cannot explain the photos (`brighter_light`).
     Adam moves k on maps of side COARSE at most; the full-size base colour is a robust mean over the
-    photos (`color_map`), and texels that no photo shows take the nearest seen one's values.
+    photos (`color_map`), and what no photo shows joins on to it smoothly (`over_unseen`).
 
     problem: renders with maps of side `settings.texture`. drawn: the sampler drew the
     light's scale, which is then only ever raised, metallic, which stays, and roughness, which stays
@@ -229,12 +243,7 @@ def refine(
 
     seen = seen_texels(problem.observations.uv, settings.texture)
     seen_gloss = seen if gloss == settings.texture else seen_texels(problem.observations.uv, gloss)
-    full = replace(
-        full,
-        roughness=fill(full.roughness, seen_gloss),
-        metallic=fill(full.metallic, seen_gloss),
-    )
-    return full, {
+    return smooth_where_unseen(full, seen, seen_gloss, load_mesh(problem.renderer.mesh)), {
         "light_scale": scale * first["brighter"] * last["brighter"],
         "roughness_of_normals": float(per_axis(problem.normal_error)) if drawn else 0.0,
         "loss_before": first["loss"],

@@ -1,7 +1,7 @@
 """Which texels of a sample's maps lie on the surface, and which of those photos show.
 
-The others have the nearest seen one's colours, in every sample the same: that samples agree there
-says nothing.
+The others' colours only join on to those (pipeline/posterior/unseen_colors.py), in every sample in
+the same way: that samples agree there says nothing.
 """
 
 from __future__ import annotations

@@ -95,8 +95,8 @@ def unseen_words(mesh: Mesh, texels: SurfaceTexels) -> str:
         return ""
     return (
         f"No photo shows {100 * texels.unseen_share:.0f} % of the surface, grey in pictures of "
-        f"spread; most of it photos from {side_of(mesh, texels)} would show. Every sample has the "
-        "colours of the nearest part there that a photo shows: nothing is known of it."
+        f"spread; most of it photos from {side_of(mesh, texels)} would show. Every sample has "
+        "colours there that join on to what photos show around: nothing is known of it."
     )
 
 
