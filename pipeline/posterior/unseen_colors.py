@@ -9,7 +9,7 @@ of the thing.
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
+from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import splu
 
@@ -18,26 +18,38 @@ from pipeline.posterior.textures import fill
 from pipeline.surface.raster import texel_faces
 
 LEAST_SHARE = 0.1  # texels that a corner needs the colour of, to be seen
+# texels that hang together, from which on a patch counts as seen: a few rays slip through cracks of
+# a surface and by its rims, and a chart that no photo shows would take their colour
+LEAST_PATCH = 50
 
 
 def over_unseen(image: np.ndarray, shown: np.ndarray, mesh: Mesh) -> np.ndarray:
     """The map (t, t, c) with smooth colours on texels of the mesh's surface that are not `shown`
-    (t, t) bool; beside the charts the nearest texel's. Without any shown texel, as it is.
+    (t, t) bool; beside the charts the nearest texel's. Without any shown patch, as it is.
     """
     face, weight = texel_faces(mesh, len(image))
     surface = face >= 0
-    if not (surface & shown).any():
+    known = patches(surface & shown)
+    if not known.any():
         return image
 
     points, corner = np.unique(mesh.vertices, axis=0, return_inverse=True)  # charts joined
     faces = corner.reshape(-1)[mesh.faces]
-    color, seen = corner_colors(image, surface & shown, faces[face], weight, len(points))
+    color, seen = corner_colors(image, known, faces[face], weight, len(points))
     color = harmonic(color, seen, points, faces)
 
     out = image.copy()
     hidden = surface & ~shown
     out[hidden] = np.einsum("nk,nkc->nc", weight[hidden], color[faces[face[hidden]]])
     return fill(out, surface | shown)
+
+
+def patches(shown: np.ndarray) -> np.ndarray:
+    """Those of the texels (t, t) bool that hang together with LEAST_PATCH or more."""
+    number, _ = ndimage.label(shown, np.ones((3, 3)))
+    large = np.bincount(number.ravel()) >= LEAST_PATCH
+    large[0] = False  # what is not shown
+    return large[number]
 
 
 def corner_colors(

@@ -11,12 +11,14 @@ from pipeline.base.errors import InputError
 from pipeline.base.files import read_json, write_json
 from pipeline.base.images import linear_to_srgb, read_exr, srgb_to_linear, write_exr, write_png
 from pipeline.geometry.cameras import Rig, save_cameras
+from pipeline.geometry.mesh_io import load_mesh
 from pipeline.geometry.surface import Surface
 from pipeline.posterior.choose.chosen import Chosen
-from pipeline.posterior.textures import gather
+from pipeline.posterior.textures import fill, gather
 from pipeline.render.metrics import render_pixels, scored_pixels
 from pipeline.render.observe import Tracer
 from pipeline.render.renderer import Explanation, Renderer
+from pipeline.surface.raster import texel_faces
 from tests.seeds import numpy_rng
 
 SIZE = 48  # of the photos
@@ -25,7 +27,7 @@ SCORED = 300  # pixels
 
 
 def painted(uv):
-    """A smooth sRGB colour for each texture coordinate."""
+    """A smooth sRGB colour for each point (n, 2) of the unit square."""
     u, v = uv.T
     return np.stack([0.3 + 0.4 * u, 0.6 - 0.3 * v, 0.5 + 0.2 * np.sin(6 * u)], -1)
 
@@ -63,8 +65,8 @@ def test_the_better_view_of_a_texel_counts_for_more():
 
 @pytest.fixture
 def work(tmp_path, ball, ring):
-    """A scene's folder as after the refine stage: a ball that is painted, and looks the same from
-    everywhere.
+    """A scene's folder as after the refine stage: a ball that is painted, smoothly over the charts'
+    borders, and looks the same from everywhere.
     """
     folder = tmp_path / "ball"
     for name in ("poses/images", "mesh/masks", "observe", "choose", "refine/0", "benchmarks"):
@@ -73,12 +75,17 @@ def work(tmp_path, ball, ring):
     views = ring(8, SIZE)
     save_cameras(folder / "poses" / "cameras.json", Rig(views, np.zeros(3), 0.6, "given"))
 
+    mesh = load_mesh(folder / "atlas" / "mesh_uv.ply")
+    face, weight = texel_faces(mesh, 512)
+    places = np.einsum("ijk,ijkc->ijc", weight, mesh.vertices[mesh.faces[face]])
+    places = fill(places, face >= 0).astype(np.float32)
     tracer = Tracer(folder / "atlas" / "mesh_uv.ply")
     columns, rows = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
     centres = np.stack([columns.ravel(), rows.ravel()], -1) + 0.5
     for view in views:
         uv, _, hit = tracer.hit(*view.rays(centres))
-        color = np.where(hit[:, None], srgb_to_linear(painted(uv)), 0).reshape(SIZE, SIZE, 3)
+        color = srgb_to_linear(painted(0.5 + gather(places, uv)[:, :2]))
+        color = np.where(hit[:, None], color, 0).reshape(SIZE, SIZE, 3)
         write_exr(folder / "poses" / view.image, color.astype(np.float32))
         mask = hit.reshape(SIZE, SIZE).astype(np.uint8) * 255
         write_png(folder / "mesh" / "masks" / f"{view.name}.png", mask)
@@ -107,7 +114,7 @@ def work(tmp_path, ball, ring):
 def test_what_looks_the_same_from_everywhere_is_predicted(work):
     scores, seen = score_unlit(work, TEXELS, erode=1.5)
     assert list(scores["robust"]) == ["v0"]
-    assert scores["robust"]["v0"] > 32 and scores["plain"]["v0"] > 32
+    assert scores["robust"]["v0"] > 35 and scores["plain"]["v0"] > 35
     assert 0.1 < seen.mean() < 0.9
 
 
@@ -116,7 +123,7 @@ def test_the_score_is_that_of_the_held_out_photo(work):
     file = work / "poses" / "images" / "v0.exr"
     write_exr(file, srgb_to_linear(linear_to_srgb(read_exr(file)) + 0.1))
     scores, _ = score_unlit(work, TEXELS, erode=1.5)
-    assert scores["robust"]["v0"] == pytest.approx(20.0, abs=0.3)
+    assert scores["robust"]["v0"] == pytest.approx(20.0, abs=0.4)
 
 
 def test_pixels_beside_the_mesh_are_black(work, ring):

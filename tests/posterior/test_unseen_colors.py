@@ -101,3 +101,16 @@ def test_a_part_that_no_photo_shows_has_the_mean_colour():
 def test_a_map_without_any_seen_texel_stays(square):
     image = numpy_rng(4).uniform(size=(SIZE, SIZE, 3))
     assert over_unseen(image, np.zeros((SIZE, SIZE), bool), square) is image
+
+
+def test_a_few_stray_rays_colour_nothing_but_their_texels():
+    """Twelve texels of a hidden chart are blue: the rest of it has its neighbour's red."""
+    left = sheet(plane(0), (0.02, 0), (0.48, 1))
+    hidden = sheet(plane(1), (0.52, 0), (0.98, 1))
+    image = np.zeros((SIZE, SIZE, 3))
+    image[:, :30], image[30:34, 48:51] = RED, BLUE
+    shown = image.any(-1)
+    found = over_unseen(image, shown, joined(left, hidden))
+    np.testing.assert_array_equal(found[30:34, 48:51], image[30:34, 48:51])
+    inside = (np.arange(SIZE) >= 36) & (np.arange(SIZE) < 60) & ~shown
+    np.testing.assert_allclose(found[inside], np.broadcast_to(RED, found[inside].shape), atol=1e-9)
