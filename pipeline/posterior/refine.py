@@ -179,10 +179,13 @@ def smooth_where_unseen(
     explanation: Explanation, seen: np.ndarray, seen_gloss: np.ndarray, mesh: Mesh
 ) -> Explanation:
     """The explanation with maps that join on smoothly where no photo shows the surface. seen,
-    seen_gloss: which texels of the base colour and of the other maps photos show.
+    seen_gloss: which texels of the base colour and of the other maps photos show. Where all that is
+    seen is a metal or none, so is the rest: by what more of its surroundings are.
     """
     gloss = np.stack([explanation.roughness, explanation.metallic], -1)
     roughness, metallic = np.moveaxis(over_unseen(gloss, seen_gloss, mesh), -1, 0)
+    if np.isin(explanation.metallic[seen_gloss], (0, 1)).all():
+        metallic = np.rint(metallic)
     color = over_unseen(explanation.base_color, seen, mesh)
     return replace(explanation, base_color=color, roughness=roughness, metallic=metallic)
 

@@ -18,9 +18,10 @@ from pipeline.posterior.textures import fill
 from pipeline.surface.raster import texel_faces
 
 LEAST_SHARE = 0.1  # texels that a corner needs the colour of, to be seen
-# texels that hang together, from which on a patch counts as seen: a few rays slip through cracks of
-# a surface and by its rims, and a chart that no photo shows would take their colour
-LEAST_PATCH = 50
+# share of a map's texels that hang together, from which on a patch counts as seen: a few rays slip
+# through cracks of a surface and by its rims, and a chart that no photo shows would take their
+# colour. 50 texels of 1024 a side; a ray's pixel covers as much of the surface in a coarser map
+LEAST_PATCH = 50 / 1024**2
 
 
 def over_unseen(image: np.ndarray, shown: np.ndarray, mesh: Mesh) -> np.ndarray:
@@ -45,9 +46,11 @@ def over_unseen(image: np.ndarray, shown: np.ndarray, mesh: Mesh) -> np.ndarray:
 
 
 def patches(shown: np.ndarray) -> np.ndarray:
-    """Those of the texels (t, t) bool that hang together with LEAST_PATCH or more."""
+    """Those of the texels (t, t) bool that hang together with LEAST_PATCH of the map or more, and
+    with one other at least.
+    """
     number, _ = ndimage.label(shown, np.ones((3, 3)))
-    large = np.bincount(number.ravel()) >= LEAST_PATCH
+    large = np.bincount(number.ravel()) >= max(LEAST_PATCH * shown.size, 2)
     large[0] = False  # what is not shown
     return large[number]
 

@@ -1,10 +1,14 @@
 """What no photo shows: colours that join on smoothly, over the surface and not over the atlas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pipeline.geometry.mesh_io import Mesh
-from pipeline.posterior.unseen_colors import over_unseen
+from pipeline.posterior.refine import smooth_where_unseen
+from pipeline.posterior.unseen_colors import over_unseen, patches
+from pipeline.render.renderer import Explanation
 from tests.seeds import numpy_rng
 
 SIZE = 64
@@ -104,13 +108,40 @@ def test_a_map_without_any_seen_texel_stays(square):
 
 
 def test_a_few_stray_rays_colour_nothing_but_their_texels():
-    """Twelve texels of a hidden chart are blue: the rest of it has its neighbour's red."""
+    """Texels of a hidden chart that lie apart are blue: the rest has its neighbour's red."""
     left = sheet(plane(0), (0.02, 0), (0.48, 1))
     hidden = sheet(plane(1), (0.52, 0), (0.98, 1))
     image = np.zeros((SIZE, SIZE, 3))
-    image[:, :30], image[30:34, 48:51] = RED, BLUE
+    image[:, :30], image[30:36:2, 46:52:2] = RED, BLUE
     shown = image.any(-1)
     found = over_unseen(image, shown, joined(left, hidden))
-    np.testing.assert_array_equal(found[30:34, 48:51], image[30:34, 48:51])
+    np.testing.assert_array_equal(found[30:36:2, 46:52:2], image[30:36:2, 46:52:2])
     inside = (np.arange(SIZE) >= 36) & (np.arange(SIZE) < 60) & ~shown
     np.testing.assert_allclose(found[inside], np.broadcast_to(RED, found[inside].shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("size, kept", [(SIZE, 1), (512, 12)])
+def test_what_counts_as_a_patch_grows_with_the_map(size, kept):
+    """Fifty texels of 1024 a side are twelve and a half of 512, and never one alone."""
+    found = {}
+    for count in (kept, kept + 1):
+        shown = np.zeros((size, size), bool)
+        shown[10, 10 : 10 + count] = True
+        found[count] = patches(shown).any()
+    assert found == {kept: False, kept + 1: True}
+
+
+def test_what_is_hidden_between_a_metal_and_none_is_one_of_them(square):
+    """Roughness goes over from one to the other, metallic does not."""
+    shown = np.zeros((SIZE, SIZE), bool)
+    shown[:, :16] = shown[:, -16:] = True
+    metal = np.where(np.arange(SIZE) < 32, 1.0, 0.0) * np.ones((SIZE, 1))
+    blank = Explanation(np.ones((2, 4, 3)), np.full((SIZE, SIZE, 3), 0.5), metal, metal)
+    found = smooth_where_unseen(blank, shown, shown, square)
+    assert set(np.unique(found.metallic)) == {0.0, 1.0}
+    assert ((found.roughness > 0.2) & (found.roughness < 0.8)).any()
+    np.testing.assert_array_equal(found.metallic[shown], metal[shown])
+
+    half = replace(blank, metallic=np.full((SIZE, SIZE), 0.5))
+    found = smooth_where_unseen(half, shown, shown, square)
+    np.testing.assert_allclose(found.metallic, 0.5, atol=1e-9)
