@@ -1,11 +1,13 @@
 """No more model than the scene needs: the preset as it is, beside the same with the choose stage.
 
 python -m benchmarks.parsimony --suite W --preset draft --out FOLDER
+python -m benchmarks.parsimony --suite pairs --given SCENES --preset draft --out FOLDER
 python -m benchmarks.parsimony --finished work --sets garden,banana --preset draft --out FOLDER
 python -m benchmarks.parsimony --gather FOLDER rows.json
 
-Of a procedural suite (benchmarks.suite.make, its scenes lie in FOLDER/scenes), or of scenes that
-this code has made (WORK/<set>), poses, mesh and atlas are taken; observations are made anew, and
+Of a procedural suite (benchmarks.suite.make, its scenes lie in FOLDER/scenes), of scenes whose
+truth is known (SCENES/<scene>, by benchmarks.pairs), or of scenes that this code has made
+(WORK/<set>), poses, mesh and atlas are taken; observations are made anew, and
 choose, fit, sample and refine of --draws samples run twice: `fixed` with `choose: {enabled:
 false}`, `chosen` with true. One thread each. FOLDER/work/<set>/<preset>/row.json is the row; what
 is there is not made again, so a run that was cut off goes on. Settings of --with hold for both.
@@ -33,9 +35,9 @@ import numpy as np
 import yaml
 
 from benchmarks.scenes import ROOT, machine, snakemake
+from benchmarks.study import scenes
 from benchmarks.study.rows import keep_pictures
 from benchmarks.study.together import of_draws
-from benchmarks.suite.make import make_suite
 from pipeline.base.config import load_scene, merge, slice_of
 from pipeline.base.errors import InputError, nearest, run_stage
 from pipeline.base.files import read_json, write_json
@@ -226,6 +228,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--suite", help="a procedural suite, made where it is not there")
+    parser.add_argument("--given", type=Path, help="folder of scenes; --suite is then their name")
     parser.add_argument("--finished", type=Path, help="a work/ folder")
     parser.add_argument("--sets", help="names of its scenes, or of the suite's, with commas")
     parser.add_argument("--preset", default="standard", help="draft, standard or reference")
@@ -247,8 +250,9 @@ def main() -> None:
     out = args.out.resolve()
     same = (args.preset, vars(args)["with"], args.draws, variants)
     if args.suite:
-        scenes = make_suite(args.suite, out / "scenes", args.sets and args.sets.split(","))
-        for photos in progress(scenes, "parsimony"):
+        only = args.sets and args.sets.split(",")
+        folders = scenes.scenes_of(args.suite, out / "scenes", args.given, only)
+        for photos in progress(folders, "parsimony"):
             print(make_row(Job(photos.name, suite_folders(photos), photos, *same), out), flush=True)
         return
     for name in args.sets.split(","):
