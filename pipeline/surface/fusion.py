@@ -3,7 +3,8 @@
 hull: soft visual hull, drawn taut over the masks' outlines (taut.py). fused: where depth maps
 stand, they make the surface; the hull does elsewhere, and where masks prove depth wrong
 (filling.py). Both end in marching cubes, always closed. The fused one is made anew from what is
-known of it (screened_poisson.py), then moves to where photos agree (photometric.py), and has to
+known of it (screened_poisson.py), the hull's where depth has not earned its place (earned.py); then
+it moves to where photos agree (photometric.py), and has to
 earn its place: it is taken where it predicts photos that were left out better than the hull, and
 fills the masks (prediction.py). Only then is it drawn to the edges of given masks too
 (outlines.py): that helps noise as much as a surface. Masks that were made may hold ground, which
@@ -22,11 +23,12 @@ from pipeline.geometry.mesh_io import Mesh
 from pipeline.geometry.voxels import Grid
 from pipeline.surface.clean import to_mesh, zero_surface
 from pipeline.surface.depth import Depth, depth_maps, neighbours
+from pipeline.surface.earned import asked, divided
 from pipeline.surface.field import projections, stacked, stereo_field
 from pipeline.surface.filling import carved_solids, without_seen_through
 from pipeline.surface.normal_filter import LEAST, filtered_normals, steps_of
 from pipeline.surface.photometric import Refined, Refinement, refine_mesh
-from pipeline.surface.prediction import Gain, gain
+from pipeline.surface.prediction import Gain, gain, gain_around
 from pipeline.surface.screened_poisson import rebuilt
 from pipeline.surface.silhouettes import TRUNCATION, Silhouettes
 from pipeline.surface.taut import taut
@@ -76,12 +78,20 @@ def fuse(grid: Grid, strict: np.ndarray, loose: np.ndarray, depths: list[Depth])
     return Fused(np.where(seen_through, np.minimum(out, -0.5), out), weight, free)
 
 
-def fuse_what_masks_allow(grid: Grid, seen: Silhouettes, depths: list[Depth]) -> tuple[Mesh, dict]:
+def fuse_what_masks_allow(
+    grid: Grid,
+    seen: Silhouettes,
+    depths: list[Depth],
+    hull: Mesh | None,
+    images: list[np.ndarray],
+    threads: int,
+) -> tuple[Mesh, dict]:
     """The surface of the depth maps above the ground, which are fused twice: what they carve
     although masks prove it solid shows which depth is wrong, and without that they are fused again.
-    What is carved still is the hull's. It is made anew from what is known of it (`rebuilt`). And
-    facts: the shares of depth, of the hull's volume and of points. Raises InputError where nothing
-    is left.
+    What is carved still is the hull's. It is made anew from what is known of it (`rebuilt`), and
+    once more, where masks prove some of the depth wrong, with the `hull` drawn taut in place of
+    what has not earned its place (earned.py). And facts: the shares of depth, of the hull's volume
+    and of points. Raises InputError where nothing is left.
     """
     strict = seen.above_ground(grid, seen.hull(grid, BESIDE_DEPTH[seen.given]))
     loose = seen.above_ground(grid, seen.hull(grid, LOOSE))
@@ -94,11 +104,19 @@ def fuse_what_masks_allow(grid: Grid, seen: Silhouettes, depths: list[Depth]) ->
     _, solid = carved(depths)
     believed, wrong = without_seen_through(depths, solid, grid)
     fused, solid = carved(believed)
-    surface = to_mesh(np.where(solid, strict, fused.field), grid, seen.covered)
-    surface, anew = rebuilt(surface, fused.weight, strict, grid, len(depths), seen.covered)
+    torn = to_mesh(np.where(solid, strict, fused.field), grid, seen.covered)
+    known_of = (fused.weight, strict, grid, len(depths), seen.covered)
+    surface, anew = rebuilt(torn, *known_of)
     filled = float(solid.sum() / max((strict > 0).sum(), 1))
-    facts = {"depth_proven_wrong": wrong, "filled": filled, "made_anew": anew}
-    return seen.raised(grid, surface), facts
+    facts: dict = {"depth_proven_wrong": wrong, "filled": filled, "asked_around": asked(wrong)}
+    if facts["asked_around"] > 0 and hull is not None:
+        drawn = _taut(hull, seen, threads)
+        masks = [seen.masks[view.name] for view in seen.rig.views]
+        share = gain_around(drawn, surface, seen.rig.views, images, masks, grid)
+        earned, rest = divided(torn, drawn, share, facts["asked_around"])
+        surface, anew = rebuilt(torn, *known_of, earned, rest)
+        facts["earned"] = float(earned.mean())
+    return seen.raised(grid, surface), facts | {"made_anew": anew}
 
 
 def build_surface(
@@ -122,7 +140,10 @@ def build_surface(
         return alone, grid, {"method": method, "why": why} | facts
 
     hull = zero_surface(field, grid, seen.covered)
-    surface, facts["filling"] = fuse_what_masks_allow(grid, seen, depths)
+    surface, filling = fuse_what_masks_allow(grid, seen, depths, hull, images, threads)
+    facts["filling"] = filling
+    if "earned" in filling:
+        why = f"{why}; {_not_earned(filling)}"
     steps = (settings.refine_steps,) * len(Refinement.scales)
     moved = _moved(surface, seen, images, Refinement(steps, plate=settings.plate), None, threads)
     facts["refinement"] = moved.facts
@@ -130,7 +151,7 @@ def build_surface(
         masks = [seen.masks[view.name] for view in seen.rig.views]
         found = gain(hull, moved.mesh, seen.rig.views, images, masks)
         facts["gain_over_hull"] = asdict(found)
-        taken, words = _judged(found, seen.given, facts["filling"]["depth_proven_wrong"])
+        taken, words = _judged(found, seen.given, filling["depth_proven_wrong"])
         why = f"{why}; {words}"
         if not taken:
             return _taut(hull, seen, threads), grid, {"method": "hull", "why": why} | facts
@@ -202,6 +223,16 @@ def _trusted(settings: MeshSettings, share: float | None) -> tuple[str, str]:
         "are needed to trust it"
     )
     return ("fused" if trusted else "hull"), why
+
+
+def _not_earned(filling: dict) -> str:
+    """Of `fuse_what_masks_allow`'s facts, where the hull stands in, in plain words."""
+    percent = lambda share: f"{100 * share:.0f} %"
+    return (
+        f"masks prove {percent(filling['depth_proven_wrong'])} of the depth wrong, so the hull "
+        f"stands in for {percent(1 - filling['earned'])} of its surface, around which it saves "
+        f"less than {percent(filling['asked_around'])} of the hull's error"
+    )
 
 
 def _judged(found: Gain, given: bool, wrong: float) -> tuple[bool, str]:

@@ -6,6 +6,8 @@ their normals (Kazhdan and Hoppe 2013, by pymeshlab). A point counts as much as 
 it, and fully where it lies on the hull, for which masks stand. Points that hardly a depth map
 stands for are left out beside those that are known. Far from these they stay and count little: a
 wide hole would be closed flat. Of its parts those are kept that are the object's (solids.py).
+
+Points of another surface may stand in for those that did not earn their place (earned.py).
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ ON_HULL = 0.15  # truncation distances from the hull, within which masks stand f
 LEAST = 0.05  # what a point counts that is not known
 ROOM = 1.1  # side of the cube that the surface is made in, of the surface's, at least
 NEAR = 2.0  # cells between a part's vertices and points; a part farther away is a bubble
+BESIDE = 3.0  # cells from a point that is used, within which no other stands in
 
 
 def rebuilt(
@@ -37,6 +40,8 @@ def rebuilt(
     grid: Grid,
     maps: int,
     covered: Covered | None = None,
+    earned: np.ndarray | None = None,
+    instead: Mesh | None = None,
 ) -> tuple[Mesh, dict]:
     """The closed surface through points of `surface`, and facts: `left_out`, the share of points
     that it does without, and `parts`, how many of the parts that were made are the object's, and
@@ -44,7 +49,8 @@ def rebuilt(
 
     weight: agreeing views, summed over `maps` depth maps; hull: positive inside, in truncation
     distances; both of the grid's shape. Of small parts none is the object's where nothing is known
-    of masks (`covered`).
+    of masks (`covered`). earned: which points (n,) bool may be used, none: all; the vertices of
+    `instead` stand in for others, fully.
     """
     at = (surface.vertices - grid.low) / grid.cell - 0.5
     sampled = lambda field: ndimage.map_coordinates(field, at.T, order=1, mode="nearest")
@@ -52,11 +58,18 @@ def rebuilt(
     counts = np.clip(agreeing / min(FULLY, FULLY_EACH * maps), LEAST, 1)
     counts[by_masks] = 1
     known = by_masks | (agreeing >= min(KNOWN, KNOWN_EACH * maps))
-    used = known | _far(surface.vertices, surface.vertices[known], BRIDGED * grid.cell)
+    allowed = np.ones(len(surface.vertices), bool) if earned is None else earned
+    known &= allowed
+    used = allowed & (known | _far(surface.vertices, surface.vertices[known], BRIDGED * grid.cell))
     facts: dict = {"left_out": float(1 - used.mean())}
 
-    points = surface.vertices[used]
-    vertices, faces = _poisson(points, surface.normals[used], counts[used], grid.cell)
+    points, normals, counts = surface.vertices[used], surface.normals[used], counts[used]
+    if instead is not None:
+        new = _far(instead.vertices, points, BESIDE * grid.cell)
+        points = np.concatenate([points, instead.vertices[new]])
+        normals = np.concatenate([normals, instead.normals[new]])
+        counts = np.concatenate([counts, np.ones(int(new.sum()))])
+    vertices, faces = _poisson(points, normals, counts, grid.cell)
     made, facts["parts"] = _of_the_object(vertices, faces, points, grid, covered)
     return (surface if made is None else made), facts
 

@@ -53,3 +53,29 @@ def test_outlines_pull_once_a_surface_with_given_masks_was_taken(
     assert called == pulls
     assert facts["method"] == ("fused" if found == GOOD else "hull")
     assert ("outlines" in facts) == (len(pulls) == 2)
+
+
+@pytest.mark.parametrize("wrong, saved, stands_in", [(0.1, 0.0, 1), (0.1, 0.5, 0), (0.01, 0.0, 0)])
+def test_the_hull_stands_in_where_depth_is_doubtful_and_saves_little(
+    sphere, monkeypatch, wrong, saved, stands_in
+):
+    """Depth carves half a truncation distance off the ball, all over."""
+    rig, masks = sphere
+    seen = silhouettes_of(rig, masks, [v.name for v in rig.views], True)
+    grid = seen.grid(48)
+    hull = fusion.to_mesh(seen.hull(grid, 0), grid, seen.covered)
+    many = np.full(grid.shape, 1e3, np.float32)
+    carved = lambda grid, strict, *_: fusion.Fused(strict - 0.5, many, 0 * many)
+    monkeypatch.setattr(fusion, "fuse", carved)
+    monkeypatch.setattr(fusion, "carved_solids", lambda field, *_: np.zeros(field.shape, bool))
+    monkeypatch.setattr(fusion, "without_seen_through", lambda depths, *_: (depths, wrong))
+    monkeypatch.setattr(
+        fusion, "gain_around", lambda *_: lambda points: np.full(len(points), saved)
+    )
+
+    found, facts = fusion.fuse_what_masks_allow(grid, seen, [None] * 12, hull, [], 1)
+    away = [np.linalg.norm(mesh.vertices - rig.center, axis=1).mean() for mesh in (hull, found)]
+    lost = (away[0] - away[1]) / grid.cell
+    assert lost < 0.7 if stands_in else lost > 1.3
+    assert facts.get("earned", 1.0) == 1 - stands_in
+    assert ("earned" in facts) == (wrong == 0.1)

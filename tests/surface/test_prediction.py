@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.geometry.voxels import Grid
 from pipeline.surface.fusion import _judged
-from pipeline.surface.prediction import FOLDS, Gain, gain
+from pipeline.surface.prediction import FOLDS, Gain, gain, gain_around
 from tests.conftest import sphere
 
 
@@ -115,3 +116,23 @@ def test_a_fused_surface_is_refused_whose_depth_is_mostly_wrong():
     taken, words = _judged(good, given=False, wrong=0.6)
     assert not taken and "60 % of all depth wrong" in words
     assert _judged(good, given=False, wrong=0.4)[0]
+
+
+def test_around_a_point_the_photos_tell_which_surface_is_right(ring):
+    """The rich surface is the ball's in front and caved in behind, the simple one is swollen in
+    front and the ball's behind. Far from both no photo tells.
+    """
+    views = ring(11, 72)
+    images, masks = zip(*(photo(view, striped) for view in views))
+    true = sphere(4)
+    front = true.vertices[:, :1] > 0
+    simple = replace(true, vertices=np.where(front, 1.15, 1) * true.vertices)
+    rich = replace(true, vertices=np.where(front, 1, 0.85) * true.vertices)
+    grid = Grid.over(-0.65 * np.ones(3), 0.65 * np.ones(3), 64)
+    share = gain_around(simple, rich, views, list(images), list(masks), grid)
+    for mesh in (simple, rich):
+        x, height = mesh.vertices[:, 0], np.abs(mesh.vertices[:, 1])
+        found, sideways = share(mesh.vertices), height < 0.2
+        assert np.median(found[sideways & (x > 0.2)]) > 0.4
+        assert np.median(found[sideways & (x < -0.2)]) < -0.4
+    assert share(np.full((1, 3), 0.65))[0] > 0.99

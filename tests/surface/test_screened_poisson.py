@@ -82,6 +82,16 @@ def test_a_part_of_which_nothing_is_known_is_not_cut_off(rags):
     assert made.vertices[:, 0].max() > RADIUS - 2 * GRID.cell
 
 
+def test_another_surface_stands_in_for_what_is_not_earned():
+    """The cap is carved off by three cells, although depth maps agree on it."""
+    carved = ball(np.where(cap(), 3 * GRID.cell, 0.0))
+    earned = carved.vertices[:, 0] < 0.6 * RADIUS
+    as_it_is, _ = rebuilt(carved, KNOWN, NO_HULL, GRID, MAPS)
+    made, found = rebuilt(carved, KNOWN, NO_HULL, GRID, MAPS, None, earned, ball())
+    assert off(as_it_is, 0.8) > 2 and off(made, 0.8) < 0.3 and off(made) < 0.5
+    assert found["left_out"] == pytest.approx(1 - earned.mean()) and facts(made)["watertight"]
+
+
 def test_of_next_to_nothing_the_surface_is_left_as_it_is():
     cell = np.full(GRID.shape, -0.5)
     cell[24, 24, 24] = 0.5
