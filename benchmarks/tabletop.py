@@ -110,6 +110,13 @@ THINGS = {
     "rounded_case_again": Setting("abandoned_games_room_02", cloth, 20, "rounded_case"),
     "lantern_again": Setting("brown_photostudio_01", paper, 21, "lantern"),
     "bob_bronze_again": Setting("photo_studio_01", make_garden.table_maps, 22, "bob_bronze"),
+    # drawn so by numpy's default_rng(20261130), of the seven things that surface/earned.py was set
+    # on and gains on, after it was set
+    "vase_again": Setting("satara_night", cloth, 23, "vase"),
+    "fluted_ring_again": Setting("leadenhall_market", paper, 24, "fluted_ring"),
+    "suzanne_again": Setting(
+        "blender_studio_lights_interior", make_garden.table_maps, 25, "suzanne"
+    ),
 }
 
 
