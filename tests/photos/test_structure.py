@@ -168,3 +168,14 @@ def test_known_cameras_without_masks_find_the_ground_they_stand_on(photographed,
     for v, true in zip(rig.views, views()):
         np.testing.assert_allclose(v.world_to_camera, true.world_to_camera, atol=1e-9)
     assert len(np.load(out / "points.npz")["xyz"]) > 100
+
+
+@pytest.mark.parametrize("points, registered", [(sfm.LEAST_POINTS - 1, 0), (sfm.LEAST_POINTS, 10)])
+def test_a_photo_that_hardly_shows_a_point_is_not_registered(points, registered):
+    """Of COLMAP's made-up models every photo shows every point."""
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_points3D = points
+    model = pycolmap.synthesize_dataset(options)
+    assert model.num_reg_images() == 10
+    assert sfm.registered_images(model) == registered
+    assert sfm.registered_images(None) == 0
