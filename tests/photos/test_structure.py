@@ -131,7 +131,9 @@ def test_of_few_photos_none_is_spared(photographed, tmp_path, monkeypatch):
         found, sizes = mapped(database, tag, held_out, threads)
         if tag not in losing:
             return found, sizes
-        return SimpleNamespace(num_reg_images=lambda: COUNT - 1), [COUNT - 1]
+        shown = SimpleNamespace(num_points3D=sfm.LEAST_POINTS)
+        fewer = SimpleNamespace(reg_image_ids=lambda: range(COUNT - 1), image=lambda _: shown)
+        return fewer, [COUNT - 1]
 
     monkeypatch.setattr(sfm, "_mapped", without_one)
     facts = make_poses(photographed[1], photographed[0], tmp_path, SETTINGS, Observe(held_out=0), 1)
