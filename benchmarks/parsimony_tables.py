@@ -54,6 +54,11 @@ def standard_error(values: np.ndarray) -> float:
     return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
 
 
+def without_suite(name: str) -> str:
+    """A scene's name without its suite's."""
+    return name.removeprefix("w_").removeprefix("s_")
+
+
 def summary(rows: list[dict]) -> str:
     """Mean with its standard error over scenes, worst and limit of every figure."""
     body = []
@@ -104,7 +109,7 @@ def coverage_by_scene(rows: list[dict]) -> str:
     kinds = {"light": "light", "relit": "relit pixels", "albedo": "base colour"}
     shares = [[row["chosen"]["coverage"][kind][LEVEL] for kind in kinds] for row in rows]
     body = [
-        [title(row["set"].removeprefix("w_")), *(f"{v:.2f}" for v in line)]
+        [title(without_suite(row["set"])), *(f"{v:.2f}" for v in line)]
         for row, line in zip(rows, shares)
     ]
     body.append(["mean", *(f"{v:.2f}" for v in np.mean(shares, axis=0))])
@@ -119,7 +124,7 @@ def by_scene(rows: list[dict]) -> str:
 
     body = []
     for row in rows:
-        line = [f"{title(row['set'].removeprefix('w_'))}, {row['preset']}"]
+        line = [f"{title(without_suite(row['set']))}, {row['preset']}"]
         line += chosen_words(row)
         for key, limit in LIMITS.items():
             line.append(cell(share(row, key), limit, f"{100 * share(row, key):.0f} %"))

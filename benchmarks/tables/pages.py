@@ -66,6 +66,8 @@ def of_assets() -> dict[str, Callable[[], str]]:
     return {
         "parsimony": parsimony(parsimony_tables.summary, "parsimony"),
         "parsimony_scenes": parsimony(parsimony_tables.by_scene, "parsimony"),
+        "parsimony_s": parsimony(parsimony_tables.summary, "parsimony_s"),
+        "parsimony_s_scenes": parsimony(parsimony_tables.by_scene, "parsimony_s"),
         "parsimony_photos": parsimony(parsimony_tables.summary, "parsimony_photos"),
         "parsimony_photos_sets": parsimony(parsimony_tables.by_scene, "parsimony_photos"),
         "parsimony_draws": parsimony(parsimony_tables.summary, "parsimony_draws"),
