@@ -1,4 +1,5 @@
-"""Structure from motion with COLMAP on the CPU: SIFT, matching, incremental mapping.
+"""Structure from motion with COLMAP on the CPU: SIFT, matching, incremental mapping, and a last
+adjustment that loose matches hardly weigh in (adjustment.py).
 
 Too few photos registered: more thorough attempts, one after the other (ATTEMPTS). The largest model
 is kept.
@@ -19,6 +20,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.images import read_exr, to_srgb8
 from pipeline.base.progress import progress
 from pipeline.geometry.cameras import View
+from pipeline.photos.adjustment import adjust
 from pipeline.photos.held_out import Placed, hold_out, matches_between, place, without_matches
 
 if TYPE_CHECKING:
@@ -317,7 +319,10 @@ def reconstruct(
                 file=sys.stderr,
                 flush=True,
             )
-        placed = {} if found_in is None or best is None else place(found_in, best, held_out)
+        placed = {}
+        if found_in is not None and best is not None:
+            adjust(best, threads)
+            placed = place(found_in, best, held_out)
 
     if best is None or registered < max(3, 0.5 * count):
         raise InputError(
