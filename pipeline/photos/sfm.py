@@ -17,11 +17,12 @@ from PIL import Image
 
 from pipeline.base.config import Observe, Poses
 from pipeline.base.errors import InputError
-from pipeline.base.images import read_exr, to_srgb8
+from pipeline.base.images import read_exr
 from pipeline.base.progress import progress
 from pipeline.geometry.cameras import View
 from pipeline.photos.adjustment import adjust
 from pipeline.photos.held_out import Placed, hold_out, matches_between, place, without_matches
+from pipeline.photos.matched import for_matching
 
 if TYPE_CHECKING:
     import pycolmap
@@ -72,8 +73,8 @@ def on_its_side(photo: dict, photos: list[dict]) -> bool:
 def write_inputs(
     capture: Path, photos: list[dict], folder: Path, settings: Poses
 ) -> tuple[dict[str, str], int]:
-    """8-bit copies for COLMAP with plain ASCII names, a folder for each camera; returns file name
-    -> photo name, and how many cameras there are. Photos `on_its_side` are turned to the left.
+    """Copies for COLMAP with plain ASCII names, a folder for each camera; returns file name ->
+    photo name, and how many cameras there are. Photos `on_its_side` are turned to the left.
     """
     names = {}
     folders: dict[tuple, str] = {}
@@ -81,8 +82,7 @@ def write_inputs(
     for k, p in enumerate(progress(photos, "photos for matching")):
         # as it was exposed: what is bright in a short exposure is white at the scene's
         exposed = read_exr(capture / "images" / f"{p['name']}.exr") * np.float32(p["gain"])
-        image = Image.fromarray(to_srgb8(exposed))
-        image.thumbnail((settings.max_size, settings.max_size), Image.Resampling.LANCZOS)
+        image = for_matching(exposed, settings.max_size)
         if on_its_side(p, photos):
             image = image.transpose(Image.Transpose.ROTATE_90)
 
@@ -92,7 +92,7 @@ def write_inputs(
         camera = folders.setdefault(camera_of(p, settings, k), f"{len(folders):05d}")
         (folder / camera).mkdir(exist_ok=True)
         file = f"{camera}/{k:05d}.jpg"
-        image.save(folder / file, quality=97, subsampling=0, exif=tags)
+        image.save(folder / file, quality=97, exif=tags)
         names[file] = p["name"]
 
     return names, len(folders)
@@ -104,12 +104,11 @@ def _say(step: str, tag: str) -> None:
 
 
 def write_matched(picture: Path, view: View, out: Path, most: int) -> View:
-    """An 8-bit copy, its long side at most `most` pixels, of a picture without distortion; the view
-    at its size.
+    """A copy, its long side at most `most` pixels, of a picture without distortion; the view at its
+    size.
     """
-    image = Image.fromarray(to_srgb8(read_exr(picture)))
-    image.thumbnail((most, most), Image.Resampling.LANCZOS)
-    image.save(out, quality=97, subsampling=0)
+    image = for_matching(read_exr(picture), most)
+    image.save(out, quality=97)
     return view.at_size(*image.size)
 
 
@@ -249,6 +248,7 @@ def incremental_options(threads: int) -> pycolmap.IncrementalPipelineOptions:
     options = _mapper_options(pycolmap.IncrementalPipelineOptions(), threads)
     # else a model ends where it shares 20 photos with those that a bad start has cut short
     options.max_model_overlap = EVERY_PHOTO
+    options.extract_colors = False  # nobody asks for them
     return options
 
 
@@ -337,27 +337,24 @@ def reconstruct(
 def sparse_points(
     model: pycolmap.Reconstruction, order: dict[int, int], others: dict[int, list[int]]
 ) -> dict:
-    """The model's points that two or more views see, as points.npz holds them: xyz (n, 3), rgb
-    (n, 3) uint8, reprojection error in pixels (n,), offsets (n + 1,), views. Point k is seen by
+    """The model's points that two or more views see, as points.npz holds them: xyz (n, 3),
+    reprojection error in pixels (n,), offsets (n + 1,), views. Point k is seen by
     views[offsets[k] : offsets[k + 1]]. `order`: the model's image number -> index of the view;
     `others`: number of a point -> views that see it too and have not made it.
     """
     xyz = []
-    rgb = []
     error = []
     views = []
     for number, point in model.points3D.items():
         seen = sorted({order[e.image_id] for e in point.track.elements if e.image_id in order})
         if len(seen) >= 2:
             xyz.append(point.xyz)
-            rgb.append(point.color)
             error.append(point.error)
             views.append(sorted({*seen, *others.get(number, [])}))
 
     offsets = np.concatenate([[0], np.cumsum([len(v) for v in views])])
     return {
         "xyz": np.array(xyz, float).reshape(-1, 3),
-        "rgb": np.array(rgb, np.uint8).reshape(-1, 3),
         "error": np.array(error, float),
         "offsets": offsets.astype(int),
         "views": np.array([v for seen in views for v in seen], int),
@@ -368,7 +365,6 @@ def no_points() -> dict:
     """As `sparse_points`, where none were matched."""
     return {
         "xyz": np.zeros((0, 3)),
-        "rgb": np.zeros((0, 3), np.uint8),
         "error": np.zeros(0),
         "offsets": np.zeros(1, int),
         "views": np.zeros(0, int),
