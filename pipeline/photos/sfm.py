@@ -17,12 +17,12 @@ from PIL import Image
 
 from pipeline.base.config import Observe, Poses
 from pipeline.base.errors import InputError
-from pipeline.base.images import read_exr
+from pipeline.base.images import read_exr, to_srgb8
 from pipeline.base.progress import progress
 from pipeline.geometry.cameras import View
 from pipeline.photos.adjustment import adjust
+from pipeline.photos.contrast import brought_out
 from pipeline.photos.held_out import Placed, hold_out, matches_between, place, without_matches
-from pipeline.photos.matched import for_matching
 
 if TYPE_CHECKING:
     import pycolmap
@@ -32,10 +32,12 @@ HINT = (
     "without zooming or moving the object"
 )
 SEED = 0  # of all tries of the poses stage
-# until one registers enough: as configured; more features, of affine shapes and pooled sizes; the
-# same features matched anew along the geometry that their first matches have shown, which takes ten
-# times as long and finds loose matches too; those matches, by global mapping
+# until one registers enough: as configured; more features, of affine shapes and pooled sizes, in
+# photos whose contrast is brought out; the same features matched anew along the geometry that their
+# first matches have shown, which takes ten times as long and finds loose matches too; those
+# matches, by global mapping
 ATTEMPTS = "plain", "thorough", "guided", "global"
+AS_EXPOSED, BROUGHT_OUT = "images", "brought-out"  # folders of copies for COLMAP
 EVERY_PHOTO = 1 << 20  # that models may share
 # photos, none of which can be spared: where one is lost the cameras of the others are shaky too
 FEW = 30
@@ -71,10 +73,11 @@ def on_its_side(photo: dict, photos: list[dict]) -> bool:
 
 
 def write_inputs(
-    capture: Path, photos: list[dict], folder: Path, settings: Poses
+    capture: Path, photos: list[dict], folder: Path, settings: Poses, as_exposed: bool = True
 ) -> tuple[dict[str, str], int]:
-    """Copies for COLMAP with plain ASCII names, a folder for each camera; returns file name ->
-    photo name, and how many cameras there are. Photos `on_its_side` are turned to the left.
+    """8-bit copies for COLMAP with plain ASCII names, a folder for each camera; returns file name
+    -> photo name, and how many cameras there are. Photos `on_its_side` are turned to the left.
+    Those that are not `as_exposed` have their contrast brought out (contrast.py).
     """
     names = {}
     folders: dict[tuple, str] = {}
@@ -82,7 +85,10 @@ def write_inputs(
     for k, p in enumerate(progress(photos, "photos for matching")):
         # as it was exposed: what is bright in a short exposure is white at the scene's
         exposed = read_exr(capture / "images" / f"{p['name']}.exr") * np.float32(p["gain"])
-        image = for_matching(exposed, settings.max_size)
+        image = Image.fromarray(to_srgb8(exposed))
+        image.thumbnail((settings.max_size, settings.max_size), Image.Resampling.LANCZOS)
+        if not as_exposed:
+            image = Image.fromarray(brought_out(np.asarray(image)))
         if on_its_side(p, photos):
             image = image.transpose(Image.Transpose.ROTATE_90)
 
@@ -92,7 +98,7 @@ def write_inputs(
         camera = folders.setdefault(camera_of(p, settings, k), f"{len(folders):05d}")
         (folder / camera).mkdir(exist_ok=True)
         file = f"{camera}/{k:05d}.jpg"
-        image.save(folder / file, quality=97, exif=tags)
+        image.save(folder / file, quality=97, subsampling=0, exif=tags)
         names[file] = p["name"]
 
     return names, len(folders)
@@ -104,11 +110,12 @@ def _say(step: str, tag: str) -> None:
 
 
 def write_matched(picture: Path, view: View, out: Path, most: int) -> View:
-    """A copy, its long side at most `most` pixels, of a picture without distortion; the view at its
-    size.
+    """An 8-bit copy, its long side at most `most` pixels, of a picture without distortion; the view
+    at its size.
     """
-    image = for_matching(read_exr(picture), most)
-    image.save(out, quality=97)
+    image = Image.fromarray(to_srgb8(read_exr(picture)))
+    image.thumbnail((most, most), Image.Resampling.LANCZOS)
+    image.save(out, quality=97, subsampling=0)
     return view.at_size(*image.size)
 
 
@@ -209,7 +216,7 @@ def _matched(
         without_matches(folder / "thorough.db", database, files)
     else:
         _say("features", tag)
-        images = folder / "images"
+        images = folder / (BROUGHT_OUT if thorough else AS_EXPOSED)
         _extract(database, images, settings, thorough, threads, pycolmap.CameraMode.PER_FOLDER)
 
     _say("matching", tag)
@@ -233,7 +240,7 @@ def _mapped(
     _say("mapping", tag)
     folder = database.parent / tag
     folder.mkdir()
-    inputs = _to_map(database, held_out), database.parent / "images", folder
+    inputs = _to_map(database, held_out), database.parent / AS_EXPOSED, folder
     if tag == "global":
         options = _mapper_options(pycolmap.GlobalPipelineOptions(), threads)
         return _largest(pycolmap.global_mapping(*inputs, options))
@@ -291,14 +298,17 @@ def reconstruct(
     pycolmap.set_random_seed(SEED)
     with tempfile.TemporaryDirectory(prefix="heliograph-sfm-") as temporary:
         folder = Path(temporary)
-        (folder / "images").mkdir()
-        names, cameras = write_inputs(capture, photos, folder / "images", settings)
+        (folder / AS_EXPOSED).mkdir()
+        names, cameras = write_inputs(capture, photos, folder / AS_EXPOSED, settings)
         files = list(names)  # in the order of the photos
 
         best, found_in = None, None
         attempts = []
         for tag in ATTEMPTS:
             facts: dict = {"attempt": tag, "cameras": cameras}
+            if tag == "thorough":
+                (folder / BROUGHT_OUT).mkdir()
+                write_inputs(capture, photos, folder / BROUGHT_OUT, settings, as_exposed=False)
             if tag != "global":  # which maps the matches of the one before
                 database, how = _matched(folder, tag, files, cameras, settings, threads)
                 facts["matching"] = how

@@ -5,6 +5,7 @@ import pycolmap
 import pytest
 
 from pipeline.photos.adjustment import adjust
+from tests.photos.test_structure import aligned
 from tests.seeds import numpy_rng
 
 FIRM, WILD = 0.3, 4.0  # pixels: what most features are off by, and what one in eight are
@@ -34,12 +35,10 @@ def contradiction(model: pycolmap.Reconstruction, true: pycolmap.Reconstruction)
         np.stack([m.image(k).projection_center() for k in sorted(m.reg_image_ids())])
         for m in (model, true)
     ]
-    found, known = (c - c.mean(0) for c in centers)
-    left, sizes, right = np.linalg.svd(known.T @ found)
-    turn = left @ np.diag([1, 1, np.sign(np.linalg.det(left @ right))]) @ right
-    scale = (sizes * [1, 1, np.sign(np.linalg.det(left @ right))]).sum() / (found**2).sum()
-    off = scale * found @ turn.T - known
-    return float(np.sqrt((off**2).sum() / (known**2).sum()))
+    found, known = centers
+    scale, turn, shift = aligned(found, known)
+    off = scale * found @ turn.T + shift - known
+    return float(np.sqrt((off**2).sum() / ((known - known.mean(0)) ** 2).sum()))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -1,5 +1,6 @@
 """Structure from motion of a made-up scene, a box on a floor, with all that is known of it."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -10,7 +11,7 @@ import pytest
 from pipeline.base.config import Capture, Observe, Poses
 from pipeline.base.files import write_json
 from pipeline.base.images import to_srgb8, write_png
-from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP, View, load_cameras
+from pipeline.geometry.cameras import OPENCV_FROM_OPENGL, Y_FROM_Z_UP, Rig, View, load_cameras
 from pipeline.photos import sfm
 from pipeline.photos.capture import capture
 from pipeline.photos.poses import make_poses
@@ -72,16 +73,21 @@ def views() -> list[View]:
     return out
 
 
+def captured_in(folder: Path, exposure: float) -> tuple[Path, Path]:
+    """Scene folder and the folder of its capture, both made in `folder`."""
+    scene, out = folder / "scene", folder / "capture"
+    (scene / "images").mkdir(parents=True)
+    out.mkdir()
+    for v in views():
+        write_png(scene / "images" / f"{v.name}.png", to_srgb8(exposure * picture(v)))
+    capture(scene, out, Capture(leave_out="none"))
+    return scene, out
+
+
 @pytest.fixture(scope="module")
 def photographed(tmp_path_factory):
     """Scene folder and the folder of its capture."""
-    scene = tmp_path_factory.mktemp("scene")
-    (scene / "images").mkdir()
-    for v in views():
-        write_png(scene / "images" / f"{v.name}.png", to_srgb8(picture(v)))
-    out = tmp_path_factory.mktemp("capture")
-    capture(scene, out, Capture(leave_out="none"))
-    return scene, out
+    return captured_in(tmp_path_factory.mktemp("photographed"), 1.0)
 
 
 def aligned(found: np.ndarray, truth: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -94,6 +100,20 @@ def aligned(found: np.ndarray, truth: np.ndarray) -> tuple[float, np.ndarray, np
     return scale, turn, truth.mean(0) - scale * turn @ found.mean(0)
 
 
+def stand_where_they_were(rig: Rig) -> None:
+    """Asserts that the cameras are the true ones, in their own frame; those held out, too, in the
+    frame of the others.
+    """
+    truth = {v.name: v.position for v in views()}
+    fit = rig.fit_views()
+    scale, turn, shift = aligned(
+        np.stack([v.position for v in fit]), np.stack([truth[v.name] for v in fit])
+    )
+    for v in rig.views:
+        error = np.linalg.norm(scale * turn @ v.position + shift - truth[v.name])
+        assert error < 0.02, v.name
+
+
 @pytest.mark.slow
 def test_photos_that_are_held_out_are_placed_and_nothing_is_made_from_them(photographed, tmp_path):
     scene, captured = photographed
@@ -103,14 +123,7 @@ def test_photos_that_are_held_out_are_placed_and_nothing_is_made_from_them(photo
     test = [v.name for v in rig.test_views()]
     assert facts["held_out"] == test and len(test) == 2 and facts["registered"] == COUNT
 
-    truth = {v.name: v.position for v in views()}
-    fit = rig.fit_views()
-    scale, turn, shift = aligned(
-        np.stack([v.position for v in fit]), np.stack([truth[v.name] for v in fit])
-    )
-    for v in rig.views:
-        error = np.linalg.norm(scale * turn @ v.position + shift - truth[v.name])
-        assert error < 0.02, v.name
+    stand_where_they_were(rig)
     points = np.load(tmp_path / "points.npz")
     index = [k for k, v in enumerate(rig.views) if v.split == "fit"]
     owner = np.repeat(np.arange(len(points["xyz"])), np.diff(points["offsets"]))
@@ -141,6 +154,17 @@ def test_of_few_photos_none_is_spared(photographed, tmp_path, monkeypatch):
     assert tried == [(tag, COUNT - 1) for tag in losing] + [("guided", COUNT)]
     assert counts["guided"][0] == counts["thorough"][0] > counts["plain"][0]
     assert counts["guided"][1] != counts["thorough"][1]
+
+
+@pytest.mark.slow
+def test_photos_in_the_dark_connect_once_their_contrast_is_brought_out(tmp_path):
+    scene, captured = captured_in(tmp_path, 0.02)
+    out = tmp_path / "poses"
+    out.mkdir()
+    facts = make_poses(captured, scene, out, SETTINGS, Observe(held_out=0), 1)
+    assert [attempt["attempt"] for attempt in facts["attempts"]] == ["plain", "thorough"]
+    assert facts["attempts"][0]["models"] == [] and facts["registered"] == COUNT
+    stand_where_they_were(load_cameras(out / "cameras.json"))
 
 
 def test_enough_of_the_photos_are_registered():
