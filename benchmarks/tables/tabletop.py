@@ -11,6 +11,7 @@ FILES = (
     "tabletop",
     "tabletop_earned",
     "tabletop_again",
+    "tabletop_dark",
     "tabletop_unseen",
     "tabletop_by_lot",
     "tabletop_before",
