@@ -32,11 +32,12 @@ HINT = (
     "without zooming or moving the object"
 )
 SEED = 0  # of all tries of the poses stage
-# until one registers enough: as configured; more features, of affine shapes and pooled sizes, in
-# photos whose contrast is brought out; the same features matched anew along the geometry that their
-# first matches have shown, which takes ten times as long and finds loose matches too; those
-# matches, by global mapping
-ATTEMPTS = "plain", "thorough", "guided", "global"
+# until one registers enough: as configured; more features, of affine shapes and pooled sizes; the
+# same in photos whose contrast is brought out; the features of the better of these two matched anew
+# along the geometry that their first matches have shown, which takes ten times as long and finds
+# loose matches too; those matches, by global mapping
+ATTEMPTS = "plain", "thorough", "contrast", "guided", "global"
+RICHER = "contrast", "thorough"  # attempts with more features; the first where both do as well
 AS_EXPOSED, BROUGHT_OUT = "images", "brought-out"  # folders of copies for COLMAP
 EVERY_PHOTO = 1 << 20  # that models may share
 # photos, none of which can be spared: where one is lost the cameras of the others are shaky too
@@ -200,23 +201,29 @@ def _largest(
 
 
 def _matched(
-    folder: Path, tag: str, files: list[str], cameras: int, settings: Poses, threads: int
+    folder: Path,
+    tag: str,
+    features: str,
+    files: list[str],
+    cameras: int,
+    settings: Poses,
+    threads: int,
 ) -> tuple[Path, str]:
     """The database of an attempt with the features and matches of all photos `files`, and what was
-    matched.
+    matched. features: the attempt whose features those are.
 
     Neighbours in COLMAP's sequence are those of one camera, so more of the photos are matched with
     all others where there are several.
     """
     import pycolmap
 
-    thorough, guided = tag != "plain", tag == "guided"
+    thorough = tag != "plain"
     database = folder / f"{tag}.db"
-    if guided:
-        without_matches(folder / "thorough.db", database, files)
+    if features != tag:
+        without_matches(folder / f"{features}.db", database, files)
     else:
         _say("features", tag)
-        images = folder / (BROUGHT_OUT if thorough else AS_EXPOSED)
+        images = folder / (BROUGHT_OUT if tag == "contrast" else AS_EXPOSED)
         _extract(database, images, settings, thorough, threads, pycolmap.CameraMode.PER_FOLDER)
 
     _say("matching", tag)
@@ -225,7 +232,7 @@ def _matched(
         exhaustive = count <= 60 or (thorough or cameras > 1) and count <= 150
     else:
         exhaustive = settings.matching == "exhaustive"
-    _match(database, exhaustive, guided, threads)
+    _match(database, exhaustive, tag == "guided", threads)
     return database, "exhaustive" if exhaustive else "sequential"
 
 
@@ -303,14 +310,16 @@ def reconstruct(
         files = list(names)  # in the order of the photos
 
         best, found_in = None, None
+        by_attempt: dict[str, int] = {}  # how many photos each has registered
         attempts = []
         for tag in ATTEMPTS:
             facts: dict = {"attempt": tag, "cameras": cameras}
-            if tag == "thorough":
+            if tag == "contrast":
                 (folder / BROUGHT_OUT).mkdir()
                 write_inputs(capture, photos, folder / BROUGHT_OUT, settings, as_exposed=False)
             if tag != "global":  # which maps the matches of the one before
-                database, how = _matched(folder, tag, files, cameras, settings, threads)
+                features = max(RICHER, key=by_attempt.__getitem__) if tag == "guided" else tag
+                database, how = _matched(folder, tag, features, files, cameras, settings, threads)
                 facts["matching"] = how
             if tag == "plain":
                 photos = hold_out(photos, observe, matches_between(database, files))
@@ -319,7 +328,8 @@ def reconstruct(
             model, facts["models"] = _mapped(database, tag, held_out, threads)
             attempts.append(facts)
 
-            if registered_images(model) > registered_images(best):
+            by_attempt[tag] = registered_images(model)
+            if by_attempt[tag] > registered_images(best):
                 best, found_in = model, database
             registered = registered_images(best)
             if registered >= wanted(count, settings):

@@ -134,9 +134,9 @@ def test_photos_that_are_held_out_are_placed_and_nothing_is_made_from_them(photo
 @pytest.mark.slow
 def test_of_few_photos_none_is_spared(photographed, tmp_path, monkeypatch):
     """One attempt follows the other, up to the first that loses none; the guided one has the
-    thorough one's features, matched anew.
+    features of the attempt in photos of more contrast, matched anew.
     """
-    mapped, counts, losing = sfm._mapped, {}, ("plain", "thorough")
+    mapped, counts, losing = sfm._mapped, {}, ("plain", "thorough", "contrast")
 
     def without_one(database, tag, held_out, threads):
         with pycolmap.Database.open(str(database)) as db:
@@ -152,8 +152,9 @@ def test_of_few_photos_none_is_spared(photographed, tmp_path, monkeypatch):
     facts = make_poses(photographed[1], photographed[0], tmp_path, SETTINGS, Observe(held_out=0), 1)
     tried = [(attempt["attempt"], attempt["models"][0]) for attempt in facts["attempts"]]
     assert tried == [(tag, COUNT - 1) for tag in losing] + [("guided", COUNT)]
-    assert counts["guided"][0] == counts["thorough"][0] > counts["plain"][0]
-    assert counts["guided"][1] != counts["thorough"][1]
+    assert counts["guided"][0] == counts["contrast"][0] > counts["thorough"][0]
+    assert counts["thorough"][0] > counts["plain"][0]
+    assert counts["guided"][1] != counts["contrast"][1]
 
 
 @pytest.mark.slow
@@ -162,8 +163,12 @@ def test_photos_in_the_dark_connect_once_their_contrast_is_brought_out(tmp_path)
     out = tmp_path / "poses"
     out.mkdir()
     facts = make_poses(captured, scene, out, SETTINGS, Observe(held_out=0), 1)
-    assert [attempt["attempt"] for attempt in facts["attempts"]] == ["plain", "thorough"]
-    assert facts["attempts"][0]["models"] == [] and facts["registered"] == COUNT
+    assert [attempt["attempt"] for attempt in facts["attempts"]] == [
+        "plain",
+        "thorough",
+        "contrast",
+    ]
+    assert facts["attempts"][1]["models"] == [] and facts["registered"] == COUNT
     stand_where_they_were(load_cameras(out / "cameras.json"))
 
 
