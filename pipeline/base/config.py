@@ -327,7 +327,10 @@ class Refine(Section):
     """Materials (and one light scale) at full texture size with the light held, Eq. 17 of DPI."""
 
     steps: int = Field(
-        40, ge=0, le=100000, description="Adam steps of roughness and metallic: 100 gain 0.06 dB"
+        40,
+        ge=0,
+        le=100000,
+        description="Adam steps of roughness and metallic, where the sampler has not drawn them",
     )
     pixels: int = Field(4096, ge=16, le=MOST_PIXELS, description="pixels per step, over all views")
     spp: int = Field(4, ge=2, le=1024, multiple_of=2)

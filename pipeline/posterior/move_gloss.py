@@ -10,38 +10,19 @@ from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import Problem, renderer_seed
 from pipeline.render.renderer import Explanation
 
-# factor by which roughness may move from a draw: the width of what one draw believes of a region
-ROUGHNESS_FACTOR = 1.3
-
-
-def stay_near(materials: MaterialOptimizer, drawn: Explanation) -> None:
-    """Bound roughness of `materials` to what lies near the draw's, and metallic to what is drawn:
-    a surface is of one kind or another, and a draw says of which.
-    """
-    low, high = materials.bounds["roughness"]
-    materials.bounds["roughness"] = (
-        np.maximum(drawn.roughness / ROUGHNESS_FACTOR, low),
-        np.minimum(drawn.roughness * ROUGHNESS_FACTOR, high),
-    )
-    materials.bounds["metallic"] = drawn.metallic, drawn.metallic
-
 
 def move_gloss(
     problem: Problem,
     explanation: Explanation,
     settings: Refine,
-    near: bool,
     moves: np.ndarray,
     bar: Bar,
     rng: np.random.Generator,
 ) -> Explanation:
-    """All three maps after `settings.steps` steps of Adam through the path tracer, light held;
-    near: roughness stays near what it is, and metallic as it is; moves (t, t): texels whose
-    roughness and metallic are moved at all.
+    """All three maps after `settings.steps` steps of Adam through the path tracer, light held.
+    moves (t, t): texels whose roughness and metallic are moved at all.
     """
     materials = MaterialOptimizer(explanation, settings.learning_rate, problem.roughness_min)
-    if near:
-        stay_near(materials, explanation)
     for name in ("roughness", "metallic"):
         now = getattr(explanation, name)
         low, high = materials.bounds[name]

@@ -7,10 +7,10 @@ Four steps, one after the other:
    colours above 1 would be needed under this one.
 3. Roughness, which from here on holds what the mesh's normals miss too (`as_the_mesh_shows`), and
    metallic. With `gloss: tested` every body of the surface begins matt and keeps as much of the
-   draw's gloss and metal as photos that were left out ask for (ladder.py). A roughness that stays a
-   map is moved: Adam through the path tracer, on maps of moderate size, because photos say little
-   about their fine detail. The base colour moves along. Where the sampler drew them, roughness
-   stays near the draw and metallic as drawn.
+   draw's gloss and metal as photos that were left out ask for (ladder.py). What the sampler drew
+   stays as drawn. A roughness that it did not draw and that stays a map is moved with the other
+   maps: Adam through the path tracer, on maps of moderate size, because photos say little about
+   their fine detail.
 4. Base colour again, with these and at full size, and with the light in details that are finer than
    few paths show (missed_light.py). Maps of moderate size hide colours above 1, and what was drawn
    as metal may be matt now: the light may have to be brighter still.
@@ -169,7 +169,7 @@ def judged_gloss(
     few = settings.shading_pixels // FEWEST
     shade_of = lambda of, on_map, x, pixels: shading_by_color(of, on_map, x, pixels, rng)
     found, maps, facts = climb(problem, explanation, parts, shade_of, few, rng)
-    if maps.any():  # they are moved from colours of their own, not from those of a matt surface
+    if maps.any():  # they have colours of their own, not those of a matt surface
         some = problem.with_pixels(some_pixels(problem, rng))
         found = solve_base_color(some, found, few, rng, USUAL)[0]
     return found, maps, {"gloss": facts}
@@ -207,12 +207,13 @@ def refine(
 
     Ours: the relative error of problem.py. s is found once, in closed form and within SCALE_RANGE,
     before k, and is raised where base colours under 1 cannot explain the photos (`brighter_light`).
-    Adam moves k on maps of side COARSE at most; the full-size base colour is a robust mean over the
-    photos (`color_map`), and what no photo shows joins on to it smoothly (`over_unseen`).
+    Adam moves k, but for a draw's gloss, on maps of side COARSE at most; the full-size base colour
+    is a robust mean over the photos (`color_map`), and what no photo shows joins on to it smoothly
+    (`over_unseen`).
 
-    problem: renders with maps of side `settings.texture`. drawn: the sampler drew the
-    light's scale, which is then only ever raised, metallic, which stays, and roughness, which stays
-    near what the mesh shows of it (`stay_near`). `bar` moves on by `units(settings)`.
+    problem: renders with maps of side `settings.texture`. drawn: the sampler drew the light's
+    scale, which is then only ever raised, roughness and metallic, which Adam then leaves alone.
+    `bar` moves on by `units(settings)`.
     """
     rng = np.random.default_rng([977, seed])
     small = problem.at_texture(min(COARSE, settings.texture))
@@ -229,13 +230,13 @@ def refine(
     coarse, first = solve_base_color(some, coarse, few, rng, USUAL, brighter=True)
     bar.step("base colour", COLOR_UNITS)
     coarse, moves, tested = judged_gloss(small, coarse, settings, rng)
-    if tested and not moves.any():  # moved pixel by pixel a number would become a map again
-        bar.step("gloss of numbers", settings.steps)
+    if drawn or not moves.any():
+        bar.step("gloss", settings.steps)
     else:
-        # loads torch, which takes as long as a base colour: most refinements do without
+        # loads torch, which takes as long as a base colour: refinements of draws do without
         from pipeline.posterior.move_gloss import move_gloss
 
-        coarse = move_gloss(small, coarse, settings, drawn, moves, bar, rng)
+        coarse = move_gloss(small, coarse, settings, moves, bar, rng)
 
     gloss = settings.gloss_texture or settings.texture
     full = resize_explanation(coarse, settings.texture, gloss)

@@ -1,6 +1,5 @@
 """The base colour from given shading: robust means, and how sharp they may be."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -22,8 +21,6 @@ from pipeline.posterior.color_choices import (
 )
 from pipeline.posterior.map_pixels import MapPixels
 from pipeline.posterior.map_pyramid import TexelSums, coarse_to_fine
-from pipeline.posterior.material_optimizer import MaterialOptimizer
-from pipeline.posterior.move_gloss import ROUGHNESS_FACTOR, stay_near
 from pipeline.posterior.problem import SHADE
 from pipeline.posterior.refine import as_the_mesh_shows
 from pipeline.posterior.shading import Shading
@@ -365,33 +362,6 @@ def test_light_is_raised_for_colours_at_the_limit_only():
 
     assert error(1.75) < (1 - CLEAR_GAIN) * error(1.2) < (1 - CLEAR_GAIN) ** 2 * error(1.0)
     assert brighter_light(solver_of(observations, dull, truth)) == 1.2
-
-
-def test_gloss_stays_near_the_draw():
-    """Roughness within a factor, metallic as drawn, whatever the gradient says."""
-    plain = lambda value: np.full((4, 4), value, np.float32)
-    drawn = Explanation(
-        np.ones((4, 8, 3), np.float32),
-        np.ones((4, 4, 3), np.float32),
-        plain(0.1),
-        plain(0.5),
-    )
-    materials = MaterialOptimizer(drawn, 0.1, roughness_min=0.09)
-    stay_near(materials, drawn)
-    up = SimpleNamespace(
-        base_color=np.zeros((4, 4, 3)), roughness=-np.ones((4, 4)), metallic=-np.ones((4, 4))
-    )
-    for _ in range(20):
-        materials.step(up)
-    assert np.allclose(materials.values["roughness"].numpy(), 0.1 * ROUGHNESS_FACTOR)
-    assert (materials.values["metallic"].numpy() == drawn.metallic).all()
-
-    up.roughness = np.ones((4, 4))
-    for _ in range(60):
-        materials.step(up)
-    assert np.allclose(materials.values["roughness"].numpy(), 0.09)
-    bare = MaterialOptimizer(replace(drawn, ior=1.0), 0.1, roughness_min=0.09)
-    assert bare.explanation(drawn.light).ior == 1.0
 
 
 def test_shading_of_a_dielectric_is_shared_between_photos_and_of_a_metal_is_not(truth):

@@ -1,5 +1,6 @@
 from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ from pipeline.base.progress import Bar
 from pipeline.posterior.color_choices import BRIGHTER
 from pipeline.posterior.dpi.as_published import dpi_paper, rho
 from pipeline.posterior.fit import fit
+from pipeline.posterior.material_optimizer import MaterialOptimizer
 from pipeline.posterior.problem import SHADE
-from pipeline.posterior.refine import refine, solve_base_color, units
-from pipeline.posterior.textures import gather, splat
+from pipeline.posterior.refine import as_the_mesh_shows, refine, solve_base_color, units
+from pipeline.posterior.textures import gather, seen_texels, splat
 from pipeline.prior.load import load_prior
 from pipeline.render.metrics import psnr
 from pipeline.render.renderer import Explanation
@@ -129,6 +131,38 @@ def test_a_dim_light_is_raised_before_gloss_is_judged_and_after(problem, start, 
         refined, facts = refine(problem, dim, settings, seeded(0), bar, drawn=True)
     assert facts["light_scale"] == pytest.approx(max(BRIGHTER) ** 2)
     assert np.allclose(refined.light, facts["light_scale"] * dim.light, rtol=1e-4)
+
+
+def test_gloss_stays_as_drawn_and_is_moved_where_it_was_not_drawn(problem, start):
+    settings = Refine(steps=3, pixels=400, texture=len(start[0].roughness), gloss="maps")
+    seen = seen_texels(problem.observations.uv, settings.texture)
+    before = as_the_mesh_shows(start[0], problem.normal_error)
+
+    def moved(drawn: bool) -> np.ndarray:
+        with Bar("refine", units(settings)) as bar:
+            refined, _ = refine(problem, start[0], settings, seeded(0), bar, drawn)
+        assert bar.done == bar.total
+        of_map = lambda name: getattr(refined, name)[seen] != getattr(before, name)[seen]
+        return of_map("roughness") | of_map("metallic")
+
+    assert not moved(drawn=True).any() and moved(drawn=False).any()
+
+
+def test_maps_stay_within_their_bounds_whatever_the_gradient_says():
+    plain = lambda value: np.full((4, 4), value, np.float32)
+    light, color = np.ones((4, 8, 3), np.float32), np.full((4, 4, 3), 0.5, np.float32)
+    begin = Explanation(light, color, plain(0.1), plain(0.5), ior=1.0)
+    for sign, color_end, roughness_end, metallic_end in ((-1, 0.98, 1, 1), (1, 0, 0.09, 0)):
+        materials = MaterialOptimizer(begin, 0.1, roughness_min=0.09)
+        slope = SimpleNamespace(
+            base_color=sign * np.ones((4, 4, 3)), roughness=plain(sign), metallic=plain(sign)
+        )
+        for _ in range(20):
+            materials.step(slope)
+        end = materials.explanation(light)
+        assert np.allclose(end.base_color, color_end) and end.ior == 1.0
+        assert np.allclose(end.roughness, roughness_end)
+        assert np.allclose(end.metallic, metallic_end)
 
 
 def test_highlights_do_not_stay_in_the_base_colour(problem):
