@@ -24,9 +24,7 @@ def judge(problem: Problem, refined: Explanation, settings: Refine) -> LeftOut:
     if not parts:
         return LeftOut.by_none()
 
-    rng = np.random.default_rng(SEED)
-    shade = lambda of, on_map, x, pixels: shading_by_color(of, on_map, x, pixels, rng)
-    jury = Jury(small, parts, shade, settings.shading_pixels // FEWEST, SEED)
+    jury = Jury(small, parts, shading_by_color, settings.shading_pixels // FEWEST, SEED)
     coarse = resize_explanation(refined, small.renderer.texture)
     found = jury.residuals(coarse)
     return LeftOut(np.concatenate([fold.judged for fold in parts]), found)

@@ -60,7 +60,9 @@ SAME_COLOR = 0.95  # share of the colours' spread that bodies explain: one too m
 
 # an explanation that a base colour can be solved from, and what its light and gloss give to the
 # observed pixels of a problem, which are places on its maps too, from paths through so many of them
-Shade = Callable[[Problem, MapPixels, Explanation, int], tuple[Explanation, Shading]]
+Shade = Callable[
+    [Problem, MapPixels, Explanation, int, np.random.Generator], tuple[Explanation, Shading]
+]
 
 
 @dataclass(frozen=True)
@@ -169,8 +171,8 @@ class Jury:
     """Judges explanations by photos that their base colours are not made from, in every fold."""
 
     def __init__(self, problem: Problem, parts: list[Fold], shade: Shade, pixels: int, seed: int):
-        """pixels: that paths go through for the base colours of one fold; seed: of the paths of
-        what is judged, the same for all explanations.
+        """pixels: that paths go through for the base colours of one fold; seed: of all paths, the
+        same for all explanations, so that most of their noise is the same, too.
         """
         self.problem, self.parts, self.shade, self.seed = problem, parts, shade, seed
         # most pixels make the colours of several folds: what light gives to them is traced once
@@ -196,7 +198,8 @@ class Jury:
 
     def solved(self, x: Explanation) -> Iterator[Explanation]:
         """`x` with the base colours of every fold, from its other photos."""
-        begin, shading = self.shade(self.kept, self.on_map, x, self.pixels)
+        rng = np.random.default_rng(self.seed)
+        begin, shading = self.shade(self.kept, self.on_map, x, self.pixels, rng)
         return (self.colored(begin, shading, fold) for fold in range(len(self.parts)))
 
     def residuals(self, x: Explanation) -> np.ndarray:

@@ -167,8 +167,7 @@ def judged_gloss(
         return explanation, everywhere, {"gloss": {"why": why}}
 
     few = settings.shading_pixels // FEWEST
-    shade_of = lambda of, on_map, x, pixels: shading_by_color(of, on_map, x, pixels, rng)
-    found, maps, facts = climb(problem, explanation, parts, shade_of, few, rng)
+    found, maps, facts = climb(problem, explanation, parts, shading_by_color, few, rng)
     if maps.any():  # they have colours of their own, not those of a matt surface
         some = problem.with_pixels(some_pixels(problem, rng))
         found = solve_base_color(some, found, few, rng, USUAL)[0]
