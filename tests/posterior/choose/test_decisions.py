@@ -16,7 +16,7 @@ from pipeline.posterior.choose.fit_work import (
     fit_work,
 )
 from pipeline.posterior.choose.light_rows import light_rows
-from pipeline.posterior.choose.texture_size import sampling_distance, texture_size
+from pipeline.posterior.choose.texture_size import sampling_distance, texture_size, usual_side
 from pipeline.render.observe import Tracer
 from tests.conftest import sphere
 from tests.seeds import numpy_rng
@@ -80,13 +80,21 @@ def test_ground_sampling_distance_is_the_area_of_a_pixel_on_the_atlas(ball, toy,
         assert np.quantile(distance, share) == pytest.approx(expected, rel=0.05)
 
 
-def test_a_texel_is_as_large_as_the_median_pixel():
+def test_a_texel_is_hardly_smaller_than_the_median_pixel():
+    """At most .8 times as wide, and at least half of that, or three quarters."""
     side, facts = texture_size(np.full(100, 1 / 300), 1024)
-    assert texture_size(np.full(100, 1 / 270), 1024)[0] == 256  # a texel may be a tenth wider
-    assert side == 512 and facts["texels_for_one_each_pixel"] == pytest.approx(300)
+    assert side == 384 and facts["texels_for_one_each_pixel"] == pytest.approx(300)
+    assert texture_size(np.full(100, 1 / 310), 1024)[0] == 512
     assert texture_size(np.full(100, 1 / 3000), 1024)[0] == 1024  # never above the configured
     assert texture_size(np.full(100, 1 / 3000), 48)[0] == 48
     assert texture_size(np.full(100, 1.0), 1024)[0] == 16
+
+
+def test_sides_of_textures_are_powers_of_two_or_three_quarters_of_one():
+    sides = {usual_side(least) for least in np.linspace(1, 1024, 4000)}
+    assert sides == {16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024}
+    for side in sides:
+        assert usual_side(side) == side and usual_side(side + 0.1) > side
 
 
 def test_the_fit_looks_at_every_texel_often_enough_and_not_more():
