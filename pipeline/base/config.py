@@ -195,6 +195,11 @@ class Observe(Section):
     background: bool = Field(
         False, description="photos that look past the object show the light in those directions"
     )
+    tint: bool = Field(
+        True,
+        description="what photos show around the object has about the light's tint; false for a "
+        "coloured backdrop that fills them",
+    )
 
 
 class Choose(Section):

@@ -25,7 +25,8 @@ from pipeline.geometry.cameras import Rig, View
 from pipeline.geometry.mesh_io import load_mesh
 from pipeline.photos.saturation import saturated
 from pipeline.render.envmap import directions, uv_from_direction
-from pipeline.render.surroundings import SIGHT_ROWS, Ground, Sightings, Surroundings
+from pipeline.render.surroundings import SIGHT_ROWS, Around, Ground, Sightings, Surroundings
+from pipeline.render.tint import tint_of
 
 WORKING = 480  # long side in pixels that photos are looked up at
 MARGIN = 0.012  # of that: how far from the mask a pixel shows nothing of the object
@@ -36,6 +37,7 @@ DISAGREEMENT = 0.35  # relative deviation between photos from which on it is no 
 NEAR, ENOUGH = 1.5, 0.3  # within so many radii, at least so much of the ground is seen
 SINK = 2e-3  # of the object's radius: the ground lies so far below its lowest point
 BLACK = 1e-3  # mean radiance below which photos show no surroundings at all
+DIM = 0.05  # of the object's radiance: darker surroundings are black cloth, which hides the light
 SHADE = 0.02  # radiance below which disagreement counts absolutely
 ERROR = 0.3  # relative error of a sighting: the camera stands elsewhere than the object
 APART = 1.0  # object radii between the rays of two photos that agree on a distant radiance
@@ -80,7 +82,7 @@ def find_surroundings(
     """What `views` show around the object, as far as `settings` ask for it, and facts. stops: log2
     gains (3,) to divide photos by, by the view's name.
     """
-    if not (settings.ground or settings.background):
+    if not (settings.ground or settings.background or settings.tint):
         return Surroundings(), {}
 
     looks = [Look.at(view, poses, masks) for view in progress(views, "surroundings")]
@@ -91,21 +93,37 @@ def find_surroundings(
     if not shown or np.concatenate(shown).mean() < BLACK:
         return Surroundings(), {"surroundings": "none: the photos show nothing but the object"}
 
+    around, of_tint = find_around(looks) if settings.tint else (None, {})
+    if not (settings.ground or settings.background):
+        return Surroundings(around=around), of_tint
+
     surface = load_mesh(mesh).vertices
     rig = rig.holding(surface)
     plane = rig.facts.get("plane")
     ground, sightings = None, None
-    facts: dict = {}
+    facts = of_tint
     if settings.ground:
         bottom = float(surface[:, 1].min())
-        ground, facts = find_ground(rig, looks, plane, bottom)
+        ground, of_ground = find_ground(rig, looks, plane, bottom)
+        facts |= of_ground
     if ground is not None:
         sightings = floor(ground, rig.center)
     if settings.background:
         far, of_far = find_sightings(rig, looks, plane is not None)
         sightings = far if sightings is None else far.beside(sightings)
         facts |= of_far
-    return Surroundings(ground, sightings), facts
+    return Surroundings(ground, sightings, around), facts
+
+
+def find_around(looks: list[Look]) -> tuple[Around | None, dict]:
+    """The mean of what the photos show beside the object, and facts: its tint, or why there is
+    none. A saturated pixel counts with its level.
+    """
+    beside = np.concatenate([look.photo[look.around] for look in looks]).mean(0)
+    object_ = np.concatenate([look.photo[~look.around] for look in looks])
+    if beside.min() <= 0 or (len(object_) and beside.mean() < DIM * object_.mean()):
+        return None, {"tint_around": "none: the photos are all but black around the object"}
+    return Around(beside.astype(float)), {"tint_around": tint_of(beside).tolist()}
 
 
 def find_ground(

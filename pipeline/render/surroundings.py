@@ -8,6 +8,8 @@ Views are directions of the distant light that photos look into. Where the groun
 as seen from the object's centre is the ground's; it is held to that there, so that a light that is
 exported by itself shows a floor where there was one.
 
+What lies around as a whole has about the tint of the light (split_gibbs/light_tint.py).
+
 Letters: t texels along the ground's side, h rows of a lat-long light, M = 2 h^2 its pixels.
 """
 
@@ -147,11 +149,19 @@ def _blocks(values: np.ndarray, rows: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Around:
+    """All that photos show beside the object. radiance (3,): its mean over all their pixels."""
+
+    radiance: np.ndarray
+
+
+@dataclass(frozen=True)
 class Surroundings:
     """What is known around the object; None for what is not known or not asked for."""
 
     ground: Ground | None = None
     sightings: Sightings | None = None
+    around: Around | None = None
 
     def arrays(self) -> dict[str, Any]:
         """As arrays of observations.npz: nothing for what is None."""
@@ -172,4 +182,5 @@ class Surroundings:
             values = {f.name: arrays[f"{name}_{f.name}"] for f in fields(kind)}
             return kind(**{k: v if v.ndim else v.item() for k, v in values.items()})
 
-        return cls(part(Ground, "ground"), part(Sightings, "sightings"))
+        kinds = {"ground": Ground, "sightings": Sightings, "around": Around}
+        return cls(**{name: part(kind, name) for name, kind in kinds.items()})

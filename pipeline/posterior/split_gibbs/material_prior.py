@@ -17,6 +17,7 @@ from scipy.special import gammaln, logsumexp
 from pipeline.posterior.problem import ALBEDO_MAX
 from pipeline.posterior.split_gibbs.lobes import METALLIC, LobeTable, metallic_step
 from pipeline.posterior.split_gibbs.state import RegionMaterials
+from pipeline.render.tint import TINTS, tint_of
 
 # how often a surface is of each of lobes.METALLIC
 KIND_SHARE = np.array([0.8, 0.2])
@@ -32,9 +33,7 @@ DARKEST_METAL, FALL = 0.07, 0.02
 
 # mean and width of log base colour, mean of channels
 DIELECTRIC, METAL = (np.log(0.3), 0.8), (np.log(0.6), 0.35)
-# orthonormal directions of log base colour: warm against cold, green against magenta
-TINTS = np.array([[1, 0, -1], [-1, 2, -1]]) / np.sqrt([[2], [6]])
-# mean and width along them: gold and copper are the most saturated metals
+# mean and width along TINTS: gold and copper are the most saturated metals
 DIELECTRIC_TINT = np.array([0.15, 0.0]), np.array([0.5, 0.3])
 METAL_TINT = np.array([0.1, 0.0]), np.array([0.3, 0.1])
 # no bare metal is beyond gold, copper or zinc: tints fall off with this width
@@ -107,7 +106,7 @@ def unlike_metal(color: np.ndarray) -> np.ndarray:
     which a coating may be the cause.
     """
     darker = np.minimum(np.log(color.max(1) / DARKEST_METAL), 0) / FALL
-    tint = np.log(color + BLACK) @ TINTS.T
+    tint = tint_of(color + BLACK)
     dyed = (tint - np.clip(tint, *METAL_TINTS)) / DYED
     bare = np.exp(-0.5 * (dyed**2).sum(1))
     return 0.5 * darker**2 - np.log(COATED + (1 - COATED) * bare)

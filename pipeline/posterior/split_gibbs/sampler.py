@@ -32,6 +32,7 @@ from pipeline.posterior.split_gibbs.light_moves import (
     to_modes,
     widths,
 )
+from pipeline.posterior.split_gibbs.light_tint import held_tint
 from pipeline.posterior.split_gibbs.material_moves import (
     categorical,
     gauge_kernel,
@@ -90,6 +91,7 @@ def chain(rng: Randomness, model: Model, state: State, title: str) -> Iterator[S
                 gauge_kernel(mixer, decoder, centre, lambda _: scale_only),  # 4b  scale | colours
                 material_kernel(mixer, decoder, steps),  # 4c  materials, offsets, noise
                 scale_of_one(prior),  # 4d  the code's mean goes to the scale
+                held_tint(decoder, model.tint),  # 4e  the tint that the surroundings show
             ):
                 state, _ = kernel(rng, state)
             bar.step(f"error {100 * state.noise.scale:.1f} %")
@@ -105,6 +107,7 @@ def chain(rng: Randomness, model: Model, state: State, title: str) -> Iterator[S
                 material_kernel(mixer, decoder, steps),  # 5c
                 prior_light(prior, rho, label),  # 5d  x | z: light given prior
                 scale_of_one(prior),  # 5e
+                held_tint(decoder, model.tint),  # 5f
             ):
                 state, _ = kernel(rng, state)
             bar.step(f"error {100 * state.noise.scale:.1f} %")
@@ -162,9 +165,10 @@ def begun(
     """A state at materials and a code (3, m) of the Gaussian prior, its colours and noise
     settled.
     """
-    coefficients = model.gaussian_unknowns.nearest(code)
-    state = replace(state, materials=materials, code=code, coefficients=coefficients)
     decoder = model.decoder(model.gaussian)
+    state = replace(state, materials=materials, code=code)
+    state, _ = held_tint(decoder, model.tint)(rng, state)
+    state = replace(state, coefficients=model.gaussian_unknowns.nearest(state.code))
     state, _ = material_kernel(model.mixer, decoder, WARM_UP_STEPS, propose_color)(rng, state)
     return state
 
@@ -248,6 +252,7 @@ def gaussian_sweeps(
         gauge_kernel(mixer, decoder, model.log_scale_centre, lambda _: scale_only),
         material_kernel(mixer, decoder, model.settings.region_steps),
         scale_of_one(gaussian),
+        held_tint(decoder, model.tint),
         to_modes(unknowns),
     )
     return run(rng, state, *(kernels * count))

@@ -20,6 +20,7 @@ from pipeline.posterior.problem import Problem
 from pipeline.posterior.random_numbers import generators
 from pipeline.posterior.split_gibbs.coherence import Neighbours
 from pipeline.posterior.split_gibbs.light_codes import COMPONENTS, Decoder, Modes, ModeUnknowns
+from pipeline.posterior.split_gibbs.light_tint import drawn_tint
 from pipeline.posterior.split_gibbs.likelihood import Mixer
 from pipeline.posterior.split_gibbs.lobes import LobeTable
 from pipeline.posterior.split_gibbs.normal_spread import spreads_about
@@ -55,8 +56,9 @@ class Model:
     """What stays the same in a draw.
 
     data: the rows; mixer: their lobes at any materials; prior: of light, the network's; gaussian:
-    the Gaussian prior of the start; log_scale_centre: mean of the log light scale's prior; view
-    (n,) and uv (n, 2) of every row; region_map (t, t): region of every texel.
+    the Gaussian prior of the start; log_scale_centre: mean of the log light scale's prior; tint
+    (2,): of the light's mean radiance, None where it is free; view (n,) and uv (n, 2) of every row;
+    region_map (t, t): region of every texel.
     """
 
     data: RowData
@@ -65,6 +67,7 @@ class Model:
     gaussian: GaussianPrior
     settings: Sample
     log_scale_centre: float
+    tint: np.ndarray | None
     view: np.ndarray
     uv: np.ndarray
     region_map: np.ndarray
@@ -195,6 +198,7 @@ def set_up(
         gaussian=load_gaussian(settings.start_prior),
         settings=settings,
         log_scale_centre=float(np.log(scale_of(fit.light))),
+        tint=drawn_tint(observations.surroundings.around, rng.numpy),
         view=observations.view[rows.observation],
         uv=uv,
         region_map=texel_regions(fit.base_color, centers, settings.texture),
