@@ -119,11 +119,11 @@ def find_around(looks: list[Look]) -> tuple[Around | None, dict]:
     """The mean of what the photos show beside the object, and facts: its tint, or why there is
     none. A saturated pixel counts with its level.
     """
-    beside = np.concatenate([look.photo[look.around] for look in looks]).mean(0)
+    beside = np.concatenate([look.photo[look.around] for look in looks]).mean(0, dtype=float)
     object_ = np.concatenate([look.photo[~look.around] for look in looks])
     if beside.min() <= 0 or (len(object_) and beside.mean() < DIM * object_.mean()):
         return None, {"tint_around": "none: the photos are all but black around the object"}
-    return Around(beside.astype(float)), {"tint_around": tint_of(beside).tolist()}
+    return Around(beside), {"tint_around": tint_of(beside).tolist()}
 
 
 def find_ground(

@@ -2,6 +2,7 @@
 alone.
 """
 
+import copy
 import pickle
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -14,6 +15,7 @@ import torch
 from pipeline.base.config import Sample
 from pipeline.base.errors import InputError
 from pipeline.posterior.draw_facts import DrawFacts
+from pipeline.posterior.problem import Problem
 from pipeline.posterior.samplers import SAMPLERS, Sampler
 from pipeline.posterior.split_gibbs import sampler
 from pipeline.posterior.split_gibbs.light_codes import CodeLikelihood
@@ -25,6 +27,9 @@ from pipeline.posterior.split_gibbs.setup import set_up
 from pipeline.posterior.split_gibbs.state import Randomness
 from pipeline.posterior.split_gibbs.thinning import explained
 from pipeline.prior.load import load_prior
+from pipeline.render.envmap import solid_angles
+from pipeline.render.surroundings import Around, Surroundings
+from pipeline.render.tint import TINTS, tint_of
 from tests.seeds import numpy_rng, seeded, torch_rng
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -91,6 +96,24 @@ def test_kernels_change_no_state_they_are_given(problem, start):
     assert fingerprint(state) == before
     assert RowLikelihood.of(model.mixer, state).under(light).value() == value
     assert RowLikelihood.of(model.mixer, ends[0]).under(light).value() != value
+
+
+@pytest.mark.slow
+def test_a_draws_light_has_the_tint_of_what_is_around(problem, start):
+    """Under the same numbers, surroundings of two tints make lights of two."""
+    found = {}
+    for warm in (-0.5, 0.5):
+        shown = Around(0.2 * np.exp(np.array([warm, 0.0]) @ TINTS))
+        observations = copy.copy(problem.observations)
+        observations.surroundings = Surroundings(around=shown)
+        seeing = Problem(observations, problem.renderer, problem.roughness_min)
+        for name in ("split_gibbs", "gaussian"):
+            x, _ = SAMPLERS[name](seeing, load_prior("prior_small"), start[0], SMALL, seeded(0))
+            weight = solid_angles(*x.light.shape[:2])[..., None]
+            found[name, warm] = tint_of((x.light * weight).sum((0, 1)))
+    for name in ("split_gibbs", "gaussian"):
+        warmer = found[name, 0.5] - found[name, -0.5]
+        assert 0.5 < warmer[0] < 0.95 and abs(warmer[1]) < 0.1, found
 
 
 @pytest.fixture

@@ -1,10 +1,11 @@
 """The ground as geometry and the light that photos look into."""
 
+import cv2
 import numpy as np
 import pytest
 
 from pipeline.base.config import Observe
-from pipeline.base.images import write_exr, write_png
+from pipeline.base.images import read_exr, read_png, write_exr, write_png
 from pipeline.geometry.cameras import Rig, View, save_cameras
 from pipeline.posterior.split_gibbs.lobes import mix
 from pipeline.render.envmap import directions, uv_from_direction
@@ -13,6 +14,7 @@ from pipeline.render.observe_surroundings import find_surroundings
 from pipeline.render.renderer import Renderer
 from pipeline.render.rows import choose_rows
 from pipeline.render.surroundings import SIGHT_ROWS, Ground, Sightings, Surroundings
+from pipeline.render.tint import tint_of
 from pipeline.render.transport import Transport
 from tests.conftest import look_at
 from tests.render.test_transport import seen, traced, uniform
@@ -207,7 +209,7 @@ def test_ground_and_far_light_are_found_in_photos(standing, tmp_path):
 def test_what_is_not_asked_for_is_not_looked_for(standing, tmp_path):
     """Nothing is added to the table of pixels, and nothing in it is another."""
     photographed(tmp_path, None)
-    for name, settings in (("off", {}), ("on", {"ground": True, "background": True})):
+    for name, settings in (("off", {"tint": False}), ("on", {"ground": True, "background": True})):
         (tmp_path / name).mkdir()
         asked = Observe(pixels=2000, **settings)
         make_observations(tmp_path, tmp_path, standing, tmp_path / name, asked)
@@ -217,6 +219,29 @@ def test_what_is_not_asked_for_is_not_looked_for(standing, tmp_path):
     for name in off:
         np.testing.assert_array_equal(off[name], on[name])
     assert Observations(tmp_path / "off", tmp_path / "cameras.json").surroundings == Surroundings()
+
+
+def test_what_is_around_has_a_tint(standing, tmp_path):
+    """That of the pixels outside the masks; not of what is all but black beside the object."""
+    rig, views = photographed(tmp_path, None)
+    found = lambda: find_surroundings(rig, views, tmp_path, tmp_path, standing, Observe())
+    around, facts = found()
+    assert around.ground is None and around.sightings is None
+    np.testing.assert_allclose(tint_of(around.around.radiance), facts["tint_around"])
+    np.testing.assert_allclose(facts["tint_around"], tint_of(np.array([1, 0.8, 0.6])), atol=1e-3)
+
+    for view in views:
+        photo = read_exr(tmp_path / view.image)
+        mask = read_png(tmp_path / "masks" / f"{view.name}.png") > 0
+        write_exr(tmp_path / view.image, np.where(grown(mask)[..., None], photo, 0.01 * photo))
+    around, facts = found()
+    assert around == Surroundings()
+    assert "black" in facts["tint_around"]
+
+
+def grown(mask: np.ndarray) -> np.ndarray:
+    """A mask and the pixels beside it."""
+    return cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) > 0
 
 
 def test_near_walls_are_no_distant_light(standing, tmp_path):
