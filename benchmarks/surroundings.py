@@ -5,9 +5,9 @@ python -m benchmarks.surroundings --finished work --photos FOLDER --sets garden,
 
 --finished holds scenes whose stages up to `atlas` are done; they are only read. Every set is
 observed, fitted, drawn, refined (base colour only) and scored anew with neither part, with the
-ground, with the background, and with both, in work/surroundings. Rows: held-out dB of the draws (on
-the ground where it is evidence) and of the asset under its light alone, as it is exported; and what
-was found. `garden`, whose scene is known, has further:
+ground, with the background, with both, and with the tint alone, in work/surroundings. Rows:
+held-out dB of the draws (on the ground where it is evidence) and of the asset under its light
+alone, as it is exported; and what was found. `garden`, whose scene is known, has further:
 
   light dB against the light that meets the object's place: sky, hedge and table seen from the
     object's centre, without the object; and the same in the sky alone, SKY degrees and more above
@@ -23,6 +23,7 @@ import argparse
 import json
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -53,11 +54,25 @@ from pipeline.render.renderer import Explanation, Renderer
 from pipeline.render.shading_normals import with_normal_map
 from pipeline.run.stage import overrides
 
+
+class Parts(NamedTuple):
+    """Which parts of the surroundings are evidence."""
+
+    ground: bool = False
+    background: bool = False
+    tint: bool = False
+
+    def settings(self) -> dict[str, bool]:
+        """As settings of the section `observe`."""
+        return self._asdict()
+
+
 VARIANTS = {
-    "neither": (False, False),
-    "ground": (True, False),
-    "background": (False, True),
-    "both": (True, True),
+    "neither": Parts(),
+    "ground": Parts(ground=True),
+    "background": Parts(background=True),
+    "both": Parts(ground=True, background=True),
+    "tint": Parts(tint=True),
 }
 SKY = 20.0  # degrees above the horizon: the hedge ends below
 RELIT, PATHS = 300, 256  # pixels of each view that are relit, and paths through each
@@ -266,7 +281,8 @@ class Variant:
             rows.append(row)
         mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
         found = read_json(self.work / "observe.json")
-        kept = {k: v for k, v in found.items() if k.startswith(("ground", "background", "surr"))}
+        parts = ("ground", "background", "surr", "tint")
+        kept = {k: v for k, v in found.items() if k.startswith(parts)}
         return mean | kept | {"samples": rows}
 
 
@@ -289,12 +305,11 @@ def main() -> None:
         finished = args.finished / name
         garden = Garden(finished / "poses" / "cameras.json") if name == GARDEN else None
         for variant in args.variants.split(","):
-            ground, background = VARIANTS[variant]
             scene = parse_scene(
                 {"photos": str(scene_folder(args.photos, name))} | overrides(args.set), name
             )
-            observe = {"ground": ground, "background": background}
-            scene = scene.model_copy(update={"observe": scene.observe.model_copy(update=observe)})
+            observe = scene.observe.model_copy(update=VARIANTS[variant].settings())
+            scene = scene.model_copy(update={"observe": observe})
             work = ROOT / "work" / "surroundings" / name / variant
             row = Variant(finished, work, scene).row(args.samples, garden)
             rows.append({"scene": name, "variant": variant} | row)

@@ -27,7 +27,7 @@ from pipeline.posterior.split_gibbs.setup import set_up
 from pipeline.posterior.split_gibbs.state import Randomness
 from pipeline.posterior.split_gibbs.thinning import explained
 from pipeline.prior.load import load_prior
-from pipeline.render.envmap import solid_angles
+from pipeline.render.envmap import mean_radiance
 from pipeline.render.surroundings import Around, Surroundings
 from pipeline.render.tint import TINTS, tint_of
 from tests.seeds import numpy_rng, seeded, torch_rng
@@ -109,8 +109,7 @@ def test_a_draws_light_has_the_tint_of_what_is_around(problem, start):
         seeing = Problem(observations, problem.renderer, problem.roughness_min)
         for name in ("split_gibbs", "gaussian"):
             x, _ = SAMPLERS[name](seeing, load_prior("prior_small"), start[0], SMALL, seeded(0))
-            weight = solid_angles(*x.light.shape[:2])[..., None]
-            found[name, warm] = tint_of((x.light * weight).sum((0, 1)))
+            found[name, warm] = tint_of(mean_radiance(x.light))
     for name in ("split_gibbs", "gaussian"):
         warmer = found[name, 0.5] - found[name, -0.5]
         assert 0.5 < warmer[0] < 0.95 and abs(warmer[1]) < 0.1, found

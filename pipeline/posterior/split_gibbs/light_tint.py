@@ -25,7 +25,7 @@ import torch
 from pipeline.posterior.problem import ALBEDO_MAX
 from pipeline.posterior.split_gibbs.light_codes import Decoder
 from pipeline.posterior.split_gibbs.state import Kernel, Randomness, State
-from pipeline.render.envmap import solid_angles
+from pipeline.render.envmap import mean_radiance
 from pipeline.render.surroundings import Around
 from pipeline.render.tint import TINTS, tint_of
 
@@ -54,14 +54,12 @@ def held_tint(decoder: Decoder, tint: np.ndarray | None) -> Kernel:
     colours have what it had too much, so that what is matt looks as before. Its info is the shift
     of log radiance (3,). While the code is split the twin decides. Nothing where there is no tint.
     """
-    weight = solid_angles(decoder.prior.height, 2 * decoder.prior.height).ravel()
 
     def kernel(rng: Randomness, state: State) -> tuple[State, np.ndarray]:
         if tint is None:
             return state, np.zeros(3)
         whole = state.code if state.prior_code is None else state.prior_code
-        mean = decoder.radiance(whole, 0.0).numpy() @ weight
-        shift = (tint - tint_of(mean)) @ TINTS
+        shift = (tint - tint_of(mean_radiance(decoder.map(whole, 0.0)))) @ TINTS
 
         of_code = torch.from_numpy((shift / decoder.prior.log_spread).astype(np.float32))[:, None]
         twin = None if state.prior_code is None else state.prior_code + of_code

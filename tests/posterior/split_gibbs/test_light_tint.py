@@ -10,7 +10,7 @@ from pipeline.posterior.split_gibbs.light_codes import Decoder
 from pipeline.posterior.split_gibbs.light_tint import AROUND, MAPS, drawn_tint, held_tint
 from pipeline.posterior.split_gibbs.state import Noise, Randomness, RegionMaterials, State
 from pipeline.prior.load import load_gaussian
-from pipeline.render.envmap import solid_angles
+from pipeline.render.envmap import mean_radiance
 from pipeline.render.surroundings import Around
 from pipeline.render.tint import TINTS, tint_of
 from tests.seeds import numpy_rng, torch_rng
@@ -73,8 +73,7 @@ def state(decoder) -> State:
 
 
 def mean_of(decoder: Decoder, code: torch.Tensor, log_scale: float) -> np.ndarray:
-    weight = solid_angles(decoder.prior.height, 2 * decoder.prior.height).ravel()
-    return decoder.radiance(code, log_scale).numpy() @ weight
+    return mean_radiance(decoder.map(code, log_scale))
 
 
 def rng() -> Randomness:
