@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from benchmarks.markdown import number, pipe_table
 from benchmarks.tables.committed import rows_of, source
 
@@ -68,4 +70,35 @@ def surroundings() -> str:
     return pipe_table(head, body) + source("surroundings")
 
 
-TABLES = {make.__name__: make for make in (garden_draws, garden_stages, scenes, surroundings)}
+def light_tint() -> str:
+    """How far draws' lights are off in tint, with and without what is around; a draw each."""
+    rows, variants = rows_of("light_tint"), ("neither", "tint")
+    off = {
+        name: [np.subtract(row[name]["tints"], row["true"]) for row in rows] for name in variants
+    }
+    each = lambda values: ", ".join(number(value, 2) for value in values)
+    body = []
+    for k, row in enumerate(rows):
+        around = row["tint"]["around"]
+        apart = np.subtract(around, row["true"])[0] if isinstance(around, list) else None
+        body.append(
+            [row["scene"].removesuffix("_table"), number(apart, 2)]
+            + [each(off[name][k][:, axis]) for axis in (0, 1) for name in variants]
+            + [each(row[name]["held_out_psnr"]) for name in variants]
+        )
+    rms = lambda name, axis: number(float(np.sqrt((np.array(off[name])[..., axis] ** 2).mean())), 2)
+    mean = lambda name: number(float(np.mean([row[name]["held_out_psnr"] for row in rows])), 2)
+    body.append(
+        ["root mean square; mean dB", ""]
+        + [rms(name, axis) for axis in (0, 1) for name in variants]
+        + [mean(name) for name in variants]
+    )
+    two = lambda what: [f"{what}, by the object alone", f"{what}, by what is around"]
+    head = ["thing", "what is around, warm"]
+    head += two("warm") + two("green") + two("held-out dB")
+    return pipe_table(head, body) + source("light_tint")
+
+
+TABLES = {
+    make.__name__: make for make in (garden_draws, garden_stages, scenes, surroundings, light_tint)
+}

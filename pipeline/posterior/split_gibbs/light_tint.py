@@ -10,14 +10,16 @@ those light, and tells of its tint whatever the object is like. So a draw's ligh
     t ~ N(m, S),    S^-1 = A^-1 + B^-1,    m = S (A^-1 a + B^-1 (t' - b))
 
 a, A being mean and variance of measured maps' tints (MAPS), t' the tint of what is around, which is
-off the light's by b, B (AROUND). The chain is held to it: the rows have no word on t. That
-is a "cut" (Plummer 2015): what is known better from elsewhere is not corrected by a part of the
-model that is known to be wrong.
+off the light's by b, B: those of tables and walls, or of a lawn or a coloured backdrop, drawn by
+how well they explain t' (AROUND). The chain is held to t: the rows have no word on it. That is a
+"cut" (Plummer 2015): what is known better from elsewhere is not corrected by a part of the model
+that is known to be wrong.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -32,9 +34,24 @@ from pipeline.render.tint import TINTS, tint_of
 # mean and deviation of the tint of the mean radiance of 200 measured maps, those that the prior of
 # light was trained on
 MAPS = np.array([0.04, -0.01]), np.array([0.31, 0.09])
-# the same of what photos show around beside the light's: grounds and walls are warm themselves.
-# Things on tables (benchmarks.tabletop) have .23 and .16, of one kind of table
-AROUND = np.array([0.2, 0.0]), np.array([0.2, 0.06])
+
+
+class Own(NamedTuple):
+    """A kind of surroundings: what share of all they are; mean and deviation of their own tint, by
+    which what photos show of them is off the light's.
+    """
+
+    share: float
+    mean: np.ndarray
+    width: np.ndarray
+
+
+# tables and walls are warm themselves (things of benchmarks.tabletop have .23 and .16); lawns and
+# coloured backdrops are as dyed as single materials (material_prior.DIELECTRIC_TINT)
+AROUND = (
+    Own(0.85, np.array([0.2, 0.0]), np.array([0.2, 0.06])),
+    Own(0.15, np.array([0.2, 0.0]), np.array([0.5, 0.3])),
+)
 # the darkest mean colour that a shift leaves
 DARKEST = 1e-4
 
@@ -43,9 +60,17 @@ def drawn_tint(around: Around | None, rng: np.random.Generator) -> np.ndarray | 
     """The tint (2,) of a draw's light; None where photos show nothing around."""
     if around is None:
         return None
-    (prior, width), (own, error) = MAPS, AROUND
-    precision = width**-2 + error**-2
-    mean = (width**-2 * prior + error**-2 * (tint_of(around.radiance) - own)) / precision
+    (prior, width), seen = MAPS, tint_of(around.radiance)
+
+    def log_odds(own: Own) -> float:
+        spread = width**2 + own.width**2
+        gap = (seen - prior - own.mean) ** 2 / spread
+        return float(np.log(own.share) - 0.5 * (gap + np.log(spread)).sum())
+
+    odds = np.array([log_odds(own) for own in AROUND])
+    own = AROUND[(odds + rng.gumbel(size=len(AROUND))).argmax()]
+    precision = width**-2 + own.width**-2
+    mean = (width**-2 * prior + own.width**-2 * (seen - own.mean)) / precision
     return mean + rng.normal(size=2) / np.sqrt(precision)
 
 

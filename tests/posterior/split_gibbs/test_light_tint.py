@@ -34,21 +34,36 @@ def test_tints_of_colours():
 
 
 def test_surroundings_tell_of_the_tint_and_no_more_than_they_know():
-    """Draws lie about what is around, less its own tint, nearer to the usual light's by how much
-    that is known; none where nothing is around.
+    """Draws have the posterior's mean and deviation by sums over a grid; none where nothing is
+    around.
     """
     assert drawn_tint(None, numpy_rng(1)) is None
     usual, width = MAPS
-    own, error = AROUND
-    for shown in (np.zeros(2), np.array([0.9, -0.3])):
+    axis = np.linspace(-1.5, 1.5, 301)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1)
+    normal = lambda x, deviation: np.exp(-0.5 * ((x / deviation) ** 2).sum(-1)) / deviation.prod()
+    for shown in (np.zeros(2), np.array([0.6, -0.1]), np.array([0.4, 0.3])):
+        seen = sum(own.share * normal(shown - grid - own.mean, own.width) for own in AROUND)
+        density = normal(grid - usual, width) * seen
+        density /= density.sum()
+        mean = (grid * density[..., None]).sum((0, 1))
+        deviation = np.sqrt(((grid - mean) ** 2 * density[..., None]).sum((0, 1)))
         rng = numpy_rng(2)
-        drawn = np.array([drawn_tint(around(shown), rng) for _ in range(2000)])
-        by_sight, middle = shown - own, drawn.mean(0)
-        share = (middle - usual) / (by_sight - usual)
-        expected = width**2 / (width**2 + error**2)
-        np.testing.assert_allclose(share, expected, atol=0.15)
-        assert (drawn.std(0) < 0.95 * np.minimum(width, error)).all()
-        assert (drawn.std(0) > 0.6 * np.minimum(width, error)).all()
+        drawn = np.array([drawn_tint(around(shown), rng) for _ in range(4000)])
+        np.testing.assert_allclose(drawn.mean(0), mean, atol=0.02)
+        np.testing.assert_allclose(drawn.std(0), deviation, rtol=0.1)
+
+
+def test_lawns_and_green_screens_make_no_green_light():
+    """What is dyed as no light is says little of it."""
+    rng = numpy_rng(3)
+
+    def green_light(green: float) -> float:
+        shown = around(np.array([0.2, green]))
+        return float(np.mean([drawn_tint(shown, rng)[1] for _ in range(500)]))
+
+    assert green_light(0.6) < 0.1
+    assert green_light(0.1) > 0.03
 
 
 @pytest.fixture
