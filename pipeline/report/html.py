@@ -50,6 +50,17 @@ def warnings(facts: dict[str, dict]) -> list[str]:
     return out
 
 
+def tint_from(scene: Scene, observed: dict) -> str:
+    """Where the light's tint is known from, by the settings and the facts of the observe stage."""
+    alone = "from the object alone"
+    if scene.sample.method not in ("split_gibbs", "gaussian") or not scene.observe.tint:
+        return alone
+    found = observed.get("tint_around", observed.get("surroundings"))
+    if isinstance(found, list):
+        return "from what the photos show around the object"
+    return f"{alone}: {found.removeprefix('none: ')}" if found else alone
+
+
 def summary(scene: Scene, facts: dict[str, dict], mean: dict | None) -> list[tuple[str, str]]:
     """(name, value) of the figures at the top."""
     seconds = sum(fact.get("seconds", 0) for fact in facts.values())
@@ -71,6 +82,7 @@ def summary(scene: Scene, facts: dict[str, dict], mean: dict | None) -> list[tup
         score = "none was held out: every photo is in the asset"
     out.append(("held-out views", score))
     out.append(("surface", facts["mesh"]["method"]))
+    out.append(("colour of the light", tint_from(scene, facts["observe"])))
     out.append(("sum of stage times", f"{seconds / 60:.1f} min"))
     return out
 

@@ -34,6 +34,7 @@ from pipeline.report.draws import (
     weights_words,
 )
 from pipeline.report.files import asset_files
+from pipeline.report.html import tint_from
 from pipeline.report.make import make_report
 from pipeline.report.pictures import (
     BESIDE,
@@ -229,6 +230,17 @@ def test_a_scene_of_which_nothing_was_held_out_says_so(work, tmp_path):
     html = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "none was held out: every photo is in the asset" in html and "used in the fit" in html
     assert metrics["trust"] is None
+
+
+def test_the_page_says_where_the_lights_colour_is_from():
+    """Off, unknown to a sampler, or not to be seen: the object alone tells of it."""
+    seen, cut_out = {"tint_around": [0.1, 0.0]}, {"surroundings": "none: nothing but the object"}
+    assert tint_from(SCENE, seen) == "from what the photos show around the object"
+    assert tint_from(SCENE, cut_out) == "from the object alone: nothing but the object"
+    other = {"sample": SCENE.sample.model_copy(update={"method": "dpi_paper"})}
+    off = {"observe": SCENE.observe.model_copy(update={"tint": False})}
+    for update in (other, off):
+        assert tint_from(SCENE.model_copy(update=update), seen) == "from the object alone"
 
 
 def test_warnings_are_on_the_page(page):
