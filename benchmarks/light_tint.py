@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.scenes import ROOT, machine
-from benchmarks.surroundings import VARIANTS, Variant
+from benchmarks.surroundings import VARIANTS, Variant, add_options
 from benchmarks.tabletop import THINGS
 from pipeline.base.config import parse_scene
 from pipeline.base.errors import run_stage
@@ -53,13 +53,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--finished", type=Path, required=True, help="a work/ with done things")
-    parser.add_argument("--photos", type=Path, required=True, help="folder of their photos")
+    add_options(parser)
     parser.add_argument("--lights", type=Path, required=True)
     parser.add_argument("--things", default=",".join(THINGS), help="names with commas between")
-    parser.add_argument("--samples", type=int, default=2)
-    parser.add_argument("--set", nargs="*", default=[], help="settings as section.key=value")
-    parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
 
     set_threads(1)  # as in the sample stage

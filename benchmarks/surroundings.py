@@ -286,17 +286,22 @@ class Variant:
         return mean | kept | {"samples": rows}
 
 
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What is there, and what is drawn from it."""
+    parser.add_argument("--finished", type=Path, required=True, help="a work/ with done scenes")
+    parser.add_argument("--photos", type=Path, required=True, help="folder of their photos")
+    parser.add_argument("--samples", type=int, default=2)
+    parser.add_argument("--set", nargs="*", default=[], help="settings as section.key=value")
+    parser.add_argument("--out", type=Path, required=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--finished", type=Path, required=True, help="a work/ with done scenes")
-    parser.add_argument("--photos", type=Path, required=True, help="folder of the sets")
+    add_options(parser)
     parser.add_argument("--sets", required=True, help="names with commas between")
     parser.add_argument("--variants", default=",".join(VARIANTS))
-    parser.add_argument("--samples", type=int, default=2)
-    parser.add_argument("--set", nargs="*", default=[], help="settings as section.key=value")
-    parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
 
     set_threads(1)  # as in the sample stage
