@@ -93,7 +93,9 @@ def figures(folder: Path, work: Path) -> dict:
     folder: the set's; work: the folder that its stages wrote to.
     """
     poses, masks, mesh = (read_json(work / s / f"{s}.json") for s in ("poses", "masks", "mesh"))
+    around = read_json(work / "observe" / "observe.json").get("tint_around")
     facts = {
+        "around_warm": around[0] if isinstance(around, list) else None,
         "photos": f"{poses['registered']}/{poses['photos']}",
         "masks": masks["method"],
         "mesh": mesh["method"],

@@ -40,8 +40,10 @@ from pipeline.geometry.cameras import View
 from pipeline.geometry.mesh_io import load_mesh
 from pipeline.posterior.textures import fill, gather, splat
 from pipeline.posterior.unseen_colors import over_unseen
+from pipeline.render.envmap import mean_radiance
 from pipeline.render.metrics import held_out_photos, psnr, scored_pixels
 from pipeline.render.observe import Observations, Tracer, object_pixels
+from pipeline.render.tint import tint_of
 
 PIXELS = 6_000_000  # at most so many of all photos' pixels, evenly over them
 CHUNK = 1 << 20  # pixels splatted at once
@@ -188,8 +190,9 @@ def configured_side(work: Path, lit_side: int) -> int:
 
 
 def lit_sample(folder: Path, seen: np.ndarray) -> dict:
-    """A refined sample's score as its stage wrote it, and medians of its maps over the texels
-    `seen` (t, t). A stage that scores random pixels of the views says the score's standard error.
+    """A refined sample's score as its stage wrote it, medians of its maps over the texels `seen`
+    (t, t), and how warm its light is (`pipeline.render.tint`). A stage that scores random pixels
+    of the views says the score's standard error.
     """
     facts = read_json(folder / "refine.json")
     roughness, metallic = (read_exr(folder / f"{name}.exr") for name in ("roughness", "metallic"))
@@ -204,6 +207,7 @@ def lit_sample(folder: Path, seen: np.ndarray) -> dict:
         "roughness_median": float(np.median(roughness)),
         "metallic_median": float(np.median(metallic)),
         "metallic_share_above_half": float((metallic > 0.5).mean()),
+        "light_warm": float(tint_of(mean_radiance(read_exr(folder / "light.exr")))[0]),
     }
 
 

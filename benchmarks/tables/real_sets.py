@@ -17,12 +17,14 @@ REAL_SETS: list[tuple[str, tuple[str, ...], int]] = [
     ("utilisation", ("utilisation",), 2),
     ("mesh s", ("mesh_seconds",), 0),
     ("mesh, processor s", ("cpu_seconds", "mesh"), 0),
+    ("around the thing, warm", ("around_warm",), 2),
 ]
 # And of every sample: heading, its key, digits.
 OF_SAMPLES = {
     "lit dB, a sample each": ("psnr", 2),
     "share of metal": ("metallic_share_above_half", 2),
     "median roughness": ("roughness_median", 2),
+    "light, warm": ("light_warm", 2),
 }
 # Of an atlas: heading, its key, digits.
 PACKED = {
@@ -72,7 +74,7 @@ def real_sets() -> str:
             continue
         cells = [number(nested(row, *keys), digits) for _, keys, digits in REAL_SETS]
         for key, digits in OF_SAMPLES.values():
-            cells.append(", ".join(number(sample[key], digits) for sample in row["samples"]))
+            cells.append(", ".join(number(sample.get(key), digits) for sample in row["samples"]))
         body.append([scene, when, *cells])
     means = []
     times = list(dict.fromkeys(when for _, when, _ in real_set_rows()))

@@ -102,6 +102,8 @@ def work(tmp_path, ball, ring):
     write_exr(folder / "refine" / "0" / "base_color.exr", color)
     write_exr(folder / "refine" / "0" / "metallic.exr", np.full((TEXELS, TEXELS), 0.9, np.float32))
     write_exr(folder / "refine" / "0" / "roughness.exr", np.full((TEXELS, TEXELS), 0.3, np.float32))
+    light = np.tile(np.exp([0.3, 0, -0.3]).astype(np.float32), (8, 16, 1))
+    write_exr(folder / "refine" / "0" / "light.exr", light)
     scores = {"held_out_psnr": 20.0, "held_out": {"v0": 20.0}, "held_out_pixels": SCORED}
     write_json(folder / "refine" / "0" / "refine.json", scores)
     atlas = {"charts": 9, "utilisation": 0.6, "faces": 100}
@@ -144,6 +146,7 @@ def test_lit_and_unlit_stand_side_by_side(work):
     assert found["gain"] == pytest.approx(20 - found["unlit_psnr"])
     assert found["samples"][0]["metallic_median"] == pytest.approx(0.9)
     assert found["samples"][0]["roughness_median"] == pytest.approx(0.3)
+    assert found["samples"][0]["light_warm"] == pytest.approx(0.6 / np.sqrt(2), abs=1e-3)
     assert found["mesh_seconds"] == 12.5 and found["cpu_seconds"] == {"mesh": 20.0}
     assert found["charts"] == 9 and found["utilisation"] == 0.6
 
