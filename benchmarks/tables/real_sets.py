@@ -74,7 +74,8 @@ def real_sets() -> str:
             continue
         cells = [number(nested(row, *keys), digits) for _, keys, digits in REAL_SETS]
         for key, digits in OF_SAMPLES.values():
-            cells.append(", ".join(number(sample.get(key), digits) for sample in row["samples"]))
+            known = [sample[key] for sample in row["samples"] if key in sample]
+            cells.append(", ".join(number(value, digits) for value in known))
         body.append([scene, when, *cells])
     means = []
     times = list(dict.fromkeys(when for _, when, _ in real_set_rows()))
