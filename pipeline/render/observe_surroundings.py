@@ -37,6 +37,7 @@ DISAGREEMENT = 0.35  # relative deviation between photos from which on it is no 
 NEAR, ENOUGH = 1.5, 0.3  # within so many radii, at least so much of the ground is seen
 SINK = 2e-3  # of the object's radius: the ground lies so far below its lowest point
 BLACK = 1e-3  # mean radiance below which photos show no surroundings at all
+SHOWN = 0.02  # of the photos' pixels: fewer beside the object say nothing of the rest
 DIM = 0.05  # of the object's radiance: darker surroundings are black cloth, which hides the light
 SHADE = 0.02  # radiance below which disagreement counts absolutely
 ERROR = 0.3  # relative error of a sighting: the camera stands elsewhere than the object
@@ -119,6 +120,8 @@ def find_around(looks: list[Look]) -> tuple[Around | None, dict]:
     """The mean of what the photos show beside the object, and facts: its tint, or why there is
     none. A saturated pixel counts with its level.
     """
+    if np.mean([look.around.mean() for look in looks]) < SHOWN:
+        return None, {"tint_around": "none: the object fills the photos"}
     beside = np.concatenate([look.photo[look.around] for look in looks]).mean(0, dtype=float)
     object_ = np.concatenate([look.photo[~look.around] for look in looks])
     if beside.min() <= 0 or (len(object_) and beside.mean() < DIM * object_.mean()):

@@ -238,6 +238,14 @@ def test_what_is_around_has_a_tint(standing, tmp_path):
     assert around == Surroundings()
     assert "black" in facts["tint_around"]
 
+    for view in views:
+        mask = np.full((90, 120), 255, np.uint8)
+        mask[:3, :8] = 0
+        write_png(tmp_path / "masks" / f"{view.name}.png", mask)
+    around, facts = find_surroundings(rig, views, tmp_path, tmp_path, standing, Observe())
+    assert around == Surroundings()
+    assert "fills the photos" in facts["tint_around"]
+
 
 def grown(mask: np.ndarray) -> np.ndarray:
     """A mask and the pixels beside it."""
