@@ -7,7 +7,7 @@ WORK holds runs of benchmarks.tabletop up to `atlas`, FOLDER its photos; both ar
 thing is observed, fitted, drawn, refined (base colour only) and scored anew with `observe.tint` on
 and off, in work/surroundings. Tints are of the mean radiance over the sphere, warm against cold and
 green against magenta (pipeline/render/tint.py): the true map's, what is found around the object,
-and of every draw.
+the middle of what is drawn from that, and of every draw.
 """
 
 from __future__ import annotations
@@ -26,11 +26,14 @@ from pipeline.base.errors import run_stage
 from pipeline.base.files import read_json, write_json
 from pipeline.base.images import read_exr
 from pipeline.base.runtime import set_threads
+from pipeline.posterior.split_gibbs.light_tint import drawn_tint
 from pipeline.render.envmap import mean_radiance
-from pipeline.render.tint import tint_of
+from pipeline.render.surroundings import Around
+from pipeline.render.tint import TINTS, tint_of
 from pipeline.run.stage import overrides
 
 COMPARED = "neither", "tint"
+MANY = 4000  # draws of a tint
 
 
 def tint(light: np.ndarray) -> list[float]:
@@ -38,12 +41,22 @@ def tint(light: np.ndarray) -> list[float]:
     return tint_of(mean_radiance(light)).tolist()
 
 
+def middle(shown: list[float] | str | None) -> list[float] | None:
+    """(2,) of the tints that are drawn where the surroundings' tint (2,) is known: their mean."""
+    if not isinstance(shown, list):
+        return None
+    rng = np.random.default_rng(0)
+    around = Around(np.exp(np.array(shown) @ TINTS))
+    return np.mean([drawn_tint(around, rng) for _ in range(MANY)], 0).tolist()
+
+
 def row_of(variant: Variant, seeds: range) -> dict:
-    """What is around, and of every draw the light's tint and the held-out dB."""
+    """What is around, what is drawn from it, and of every draw the light's tint and held-out dB."""
     draws = [variant.draw(seed) for seed in seeds]
     found = read_json(variant.work / "observe.json")
     return {
         "around": found.get("tint_around"),
+        "middle": middle(found.get("tint_around")),
         "tints": [tint(x.light) for x in draws],
         "held_out_psnr": [variant.held_out(x)["held_out_psnr"] for x in draws],
     }

@@ -79,22 +79,23 @@ def light_tint() -> str:
     each = lambda values: ", ".join(number(value, 2) for value in values)
     body = []
     for k, row in enumerate(rows):
-        around = row["tint"]["around"]
-        apart = np.subtract(around, row["true"])[0] if isinstance(around, list) else None
+        middle = np.subtract(row["tint"]["middle"], row["true"])
         body.append(
-            [row["scene"].removesuffix("_table"), number(apart, 2)]
+            [row["scene"].removesuffix("_table"), number(row["true"][0], 2)]
+            + [number(row["tint"]["around"][0], 2), each(middle)]
             + [each(off[name][k][:, axis]) for axis in (0, 1) for name in variants]
             + [each(row[name]["held_out_psnr"]) for name in variants]
         )
     rms = lambda name, axis: number(float(np.sqrt((np.array(off[name])[..., axis] ** 2).mean())), 2)
     mean = lambda name: number(float(np.mean([row[name]["held_out_psnr"] for row in rows])), 2)
+    middles = [np.subtract(row["tint"]["middle"], row["true"]) for row in rows]
     body.append(
-        ["root mean square; mean dB", ""]
+        ["root mean square; mean dB", "", "", each(np.sqrt(np.mean(np.square(middles), 0)))]
         + [rms(name, axis) for axis in (0, 1) for name in variants]
         + [mean(name) for name in variants]
     )
     two = lambda what: [f"{what}, by the object alone", f"{what}, by what is around"]
-    head = ["thing", "what is around, warm"]
+    head = ["thing", "true, warm", "around it, warm", "middle of what is around: warm, green"]
     head += two("warm") + two("green") + two("held-out dB")
     return pipe_table(head, body) + source("light_tint")
 
